@@ -6,10 +6,8 @@ import errno
 import io
 import os
 import stat
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -43,15 +41,18 @@ def atomic(path: Path) -> Iterator[BinaryIO]:
     Raises OSError when the directory cannot be written or the disk is full; the old content stays.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.unlink(missing_ok=True)
     try:
+        temporary.unlink(missing_ok=True)
         with temporary.open("xb") as file:  # a link that somebody has put there is not followed
             yield file
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            error.filename = str(path)
         raise
     sync(path.parent)  # makes the new name durable, too
 
@@ -77,7 +78,8 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
                 return {
                     name: archive[name] for name in archive.files
                 }  # reads to the end: checks every CRC-32
-        except (zipfile.BadZipFile, zlib.error, ValueError, KeyError, EOFError, NotImplementedError) as error:
+        except Exception as error:  # a damaged archive may end in nearly any of them
+            reason = str(error).partition("\n")[0] or type(error).__name__
             raise CheckpointError(
-                f"{path} is damaged ({error}): delete it and run the training again."
+                f"{path} is damaged ({reason}): delete it and run the training again."
             ) from error

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from agents.greedy import Greedy
+from agents.greedy import Greedy, best
 from agents.learner import check_numbers
 from agents.models import Network, Standardised, network_class
 from agents.replay import Replay
@@ -113,7 +113,7 @@ class DQN:
         """A random action with probability ``epsilon``, else the greedy one."""
         if self._exploration.random() < epsilon:
             return int(self._exploration.integers(self.actions))
-        return int(self.q(observation[None]).argmax())
+        return best(self.q(observation[None])[0])
 
     @torch.inference_mode()
     def q(self, observations: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -48,6 +49,8 @@ class Episodes(gym.Wrapper[Any, Any, Any, Any]):
         """A step; the last one of an episode completes its row."""
         observation, reward, terminated, truncated, info = self.env.step(int(action))
         self.steps += 1
+        if not math.isfinite(reward):
+            raise ValueError(f"the reward of training step {self.steps} is {reward}, not a finite number")
         self._rewards.append(float(reward))
         self._speeds.append(float(info.get("speed", np.nan)))
         if terminated or truncated:

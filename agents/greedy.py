@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
 
-from agents.checkpoint import load_arrays, save_arrays
+from agents.checkpoint import CheckpointError, load_arrays, save_arrays
 
 
 class Greedy:
@@ -24,8 +26,8 @@ class Greedy:
         return self.network(torch.as_tensor(observation, dtype=torch.float32)[None])[0].numpy()
 
     def act(self, observation: np.ndarray) -> int:
-        """The greedy action."""
-        return int(self.q(observation).argmax())
+        """The greedy action. Raises ValueError when its value is no finite number."""
+        return best(self.q(observation))
 
     def reset(self, seed: int | None = None) -> None:
         """Nothing to do: a greedy policy has no state."""
@@ -48,12 +50,30 @@ class Greedy:
 
         Raises ValueError when they belong to another one, CheckpointError when the file is damaged.
         """
-        arrays = {name: torch.from_numpy(array) for name, array in load_arrays(path).items()}
-        try:
-            network.load_state_dict(arrays)
-        except RuntimeError as error:
-            raise ValueError(f"{path} holds the weights of another network: {error}") from error
-        return cls(network)
+        return cls(with_weights(network, load_arrays(path), path))
+
+
+def with_weights(network: nn.Module, arrays: Mapping[str, np.ndarray], path: str | Path) -> nn.Module:
+    """The network with weights that were read from a file.
+
+    Raises ValueError when they belong to another network, CheckpointError when one is no finite number.
+    """
+    try:
+        network.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
+    except (RuntimeError, TypeError) as error:
+        raise ValueError(f"{path} holds the weights of another network: {error}") from error
+    for name, weights in network.state_dict().items():
+        if not torch.isfinite(weights).all():
+            raise CheckpointError(f"{path}: the weights {name} are not finite; the agent cannot be used.")
+    return network
+
+
+def best(values: np.ndarray) -> int:
+    """The number of the largest value. Raises ValueError when it is not finite; NaN counts as the largest."""
+    action = int(values.argmax())
+    if not math.isfinite(values[action]):
+        raise ValueError(f"the network's value of action {action} is {values[action]}, not a finite number")
+    return action
 
 
 class Timed(Greedy):

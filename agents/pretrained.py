@@ -15,12 +15,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from agents.checkpoint import CheckpointError, load_arrays, save_arrays
+from agents.schema import check
+
 if TYPE_CHECKING:
     from agents.greedy import Greedy
     from agents.models import Network
 
 FILE = Path(__file__).resolve().parents[1] / "results" / "agents.npz"
 CARDS = "cards"  # the entry with the cards as JSON; an agent's weights are the entries "SETTING/ARM/NAME"
+
+
+SIZES = range(1, 10_000)  # of observations, in number of actions and steps
+THREE = [int | float]
+CARD = {
+    **{"cell": str, "command": str, "commit": str | None, "task": str, "config": dict, "network": str},
+    **{
+        "observations": [SIZES],
+        "actions": SIZES,
+        "time_observed": range(10_000),
+        "precision": ("float16", "float32"),
+    },
+    **{
+        traffic: {"episodes": SIZES, "crash_rate": THREE, "return": THREE, "speed": THREE}
+        for traffic in ("regular", "risky")
+    },
+}
 
 
 def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
@@ -33,7 +53,15 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
 
     Raises FileNotFoundError when the file is not there, CheckpointError when it is damaged.
     """
-    return json.loads(str(_arrays(Path(file))[CARDS]))
+    arrays = _arrays(Path(file))
+    try:
+        found: dict[str, dict[str, Any]] = json.loads(str(arrays[CARDS]))
+        check(found, dict, CARDS)
+        for name, about in found.items():
+            check(about, CARD, name)
+    except (KeyError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"{file} is no file of agents ({error}): restore it from a copy.") from None
+    return found
 
 
 def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
@@ -55,9 +83,8 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     the file is not in order.
     """
     import gymnasium as gym
-    import torch
 
-    from agents.greedy import Greedy, Timed
+    from agents.greedy import Greedy, Timed, with_weights
     from agents.models import NETWORKS, Standardised
 
     about = card(setting, arm, file)
@@ -70,19 +97,17 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     inner = Standardised(kind(space, about["actions"]), space)
     prefix = f"{setting}/{arm}/"
     weights = {
-        name.removeprefix(prefix): torch.from_numpy(array.astype(np.float32))
+        name.removeprefix(prefix): array.astype(np.float32, casting="same_kind")
         for name, array in _arrays(Path(file)).items()
         if name.startswith(prefix)
     }
-    inner.load_state_dict(weights)
+    with_weights(inner, weights, file)
     steps = about["time_observed"]
     return Timed(inner, steps) if steps else Greedy(inner)
 
 
 def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE) -> None:
     """Write agents with their cards, by "SETTING/ARM". A card's `precision` is that of its weights in the file."""
-    from agents.checkpoint import save_arrays
-
     arrays = {CARDS: np.array(json.dumps({name: about for name, (about, _) in agents.items()}))}
     for name, (about, policy) in agents.items():
         for part, value in policy.network.state_dict().items():
@@ -91,8 +116,6 @@ def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Pat
 
 
 def _arrays(file: Path) -> dict[str, np.ndarray]:
-    from agents.checkpoint import load_arrays
-
     if not file.exists():
         raise FileNotFoundError(
             f"There is no {file}: write it from a study with python -m experiments.study.replaying.publish DIR."

@@ -164,9 +164,13 @@ def _due(before: int, after: int, interval: int) -> bool:
 
 def _resume(path: Path, settings: Mapping[str, Any], training: Training) -> None:
     state = load_arrays(path)
-    if "settings" not in state:
-        raise CheckpointError(f"{path} is no checkpoint of a training.")
-    stored, wanted = json.loads(str(state["settings"])), json.loads(json.dumps(settings))
+    try:
+        stored, wanted = json.loads(str(state["settings"])), json.loads(json.dumps(settings))
+        stored = dict(stored)
+    except (KeyError, ValueError, TypeError):
+        raise CheckpointError(
+            f"{path} is no checkpoint of a training: delete it to train from the start."
+        ) from None
     differing = [
         f"{name} {stored.get(name)!r} instead of {wanted[name]!r}"
         for name in sorted(wanted)  # a checkpoint of an earlier version may have more
@@ -177,4 +181,9 @@ def _resume(path: Path, settings: Mapping[str, Any], training: Training) -> None
             f"The checkpoint {path} was written with {', '.join(differing)}. "
             "Use the same settings, or delete it to train from the start."
         )
-    training.load_state_dict(state)
+    try:
+        training.load_state_dict(state)
+    except Exception as error:  # of arrays that are missing, or of another kind or shape
+        raise CheckpointError(
+            f"{path} is damaged ({type(error).__name__}: {error}): delete it to train from the start."
+        ) from error

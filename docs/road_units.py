@@ -23,7 +23,7 @@ from experiments.validation.episodes import traffic_near
 from sumo_env.contacts.measures import headways
 from sumo_env.env import DrivingEnv
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Step
+from sumo_env.simulator import Commands, Step
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import Scenario
@@ -41,9 +41,9 @@ class Traced(SumoProcess):
         self.scenes = [super().reset(scenario)]
         return self.scenes[0]
 
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+    def step(self, commands: Commands, trace: bool = False) -> Step:
         """Drive one policy step."""
-        step = super().step(command, trace=True)
+        step = super().step(commands, trace=True)
         self.scenes += step.trace
         return step
 

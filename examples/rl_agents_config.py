@@ -8,7 +8,6 @@ DeterministicPlanner) copy the environment, which works; the preprocessor "simpl
 """
 
 import argparse
-import importlib
 import json
 from pathlib import Path
 
@@ -22,7 +21,10 @@ parser.add_argument("--steps", type=int, default=100)
 args = parser.parse_args()
 
 config = json.loads(args.file.read_text())
-importlib.import_module(config["import_module"])
+if (
+    config["import_module"] != "sumo_env" or ":" in config["id"]
+):  # rl-agents runs any module that a file names
+    parser.error(f'{args.file}: "import_module" must be sumo_env, and "id" one of its environments')
 env = gym.make(config["id"], render_mode="rgb_array")
 env.unwrapped.configure(config)  # the whole file, "id" and "import_module" included
 

@@ -77,7 +77,8 @@ class Batch(VecEnv):
 
 
 torch.set_num_threads(1)  # several times faster with small networks
-name = f"sumo_env:replica/{args.task}-v0"
+version = {"roundabout": 1, "intersection": 2, "u-turn": 1}.get(args.task, 0)  # highway-env's current ones
+name = f"sumo_env:replica/{args.task}-v{version}"
 traffic = {"scenarios": "seeded", "config": {"risk": args.risk}}
 if args.learner == "ppo":
     envs = gym.make_vec(name, args.envs, autoreset_mode="SameStep", threads=args.threads, **traffic)

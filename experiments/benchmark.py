@@ -1,7 +1,7 @@
 """Speed side by side: the environments against highway-env and EnvPool.
 
     python experiments/benchmark.py --out results/benchmark            # long: two tasks took over 8 minutes
-    python experiments/benchmark.py --out /tmp/benchmark --quick       # minutes, less certain
+    python experiments/benchmark.py --out results/benchmark --quick       # minutes, less certain
 
 Writes benchmark.json and prints a table for each part. What is compared takes turns in one run, each in a process of
 its own and never two at a time, and medians over the turns are taken, because a shared machine is never the same for

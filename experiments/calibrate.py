@@ -1,7 +1,7 @@
 """Fit SUMO's drivers, and what a dose of risky traffic does, to highway-env, on other scenarios than validation's.
 
     python experiments/calibrate.py --out results/calibration      # hours
-    python experiments/calibrate.py --out /tmp/calibration --tasks u-turn --trials 5 --scenarios 10
+    python experiments/calibrate.py --out results/calibration --tasks u-turn --trials 5 --scenarios 10
 
 The same command run again goes on where it was stopped: what is driven is stored, and a search of the same scenarios
 takes the same way. There are three parts:

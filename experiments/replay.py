@@ -40,8 +40,8 @@ from experiments.study.design.grid import tested_on
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
 from experiments.study.results.store import EPISODES, Store, find_cell
-from experiments.support.errors import UserError, disk_error, run_command, unknown
-from experiments.support.films import Film, Pictures, save_gif, side_by_side
+from experiments.support.errors import UserError, run_command, unknown
+from experiments.support.films import Film, Pictures, check_film, save_gif, side_by_side
 
 
 @dataclass(frozen=True)
@@ -97,13 +97,12 @@ def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
         raise UserError(f"--horizon is at least 1, not {options.horizon}")
     if options.avoid and options.sumo:
         raise UserError("--avoid writes a film of its own: leave out --sumo")
-    try:
-        case = parse_case(options.case, options.code)
-        key, act = case.record["key"], _avoid if options.avoid else _again
-        with closing(make_env(*tested_on(key), "rgb_array")) as env:
-            return act(options, case, env)
-    except OSError as error:
-        raise disk_error(error, options.out or Path.cwd()) from None
+    if not options.sumo:
+        check_film(options.out, ".gif")
+    case = parse_case(options.case, options.code)
+    key, act = case.record["key"], _avoid if options.avoid else _again
+    with closing(make_env(*tested_on(key), "rgb_array")) as env:
+        return act(options, case, env)
 
 
 def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:

@@ -1,7 +1,7 @@
 """Run the experiment: train and test the agents of both arms and the baselines, then write the report.
 
     python experiments/sweep.py
-    python experiments/sweep.py --preset smoke --out /tmp/smoke
+    python experiments/sweep.py --preset smoke --out results/smoke
     python experiments/sweep.py --preset paper --dry-run
     python experiments/sweep.py --placebo                                  # control against control
     python experiments/sweep.py --tasks highway --arms control penalty     # a positive control

@@ -1,7 +1,7 @@
 """SUMO against highway-env on the same scenarios: how far apart are they, and is that within the margins?
 
     python experiments/validate.py --out results/validation            # every level, 200 scenarios each
-    python experiments/validate.py --out /tmp/validation --quick       # minutes
+    python experiments/validate.py --out results/validation --quick       # minutes
 
 highway-env's episodes are its replica's, of which highway-env itself drives a random part again. Writes
 validation.json and validation.html. The same command run again goes on where it was stopped. Exit status: 0 all margins

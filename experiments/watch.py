@@ -33,7 +33,7 @@ from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
-from experiments.support.films import Film, save_film, side_by_side
+from experiments.support.films import Film, check_film, save_film, side_by_side
 
 NEARLY = "the first risky one with a near miss that the agent survives"
 CRASHES = "the first risky one in which the agent crashes"
@@ -104,6 +104,7 @@ def scenario_of(table: pd.DataFrame, options: Options) -> tuple[int, str]:
 
 def watch(options: Options) -> int:
     """Do what the options ask for; returns the exit status."""
+    check_film(options.out, ".gif", ".mp4")
     name = chosen(options.directory, options.agent)
     store = Store(options.directory)
     scenario, rule = scenario_of(store.tables(name)[EPISODES], options)

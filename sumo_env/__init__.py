@@ -38,6 +38,8 @@ SUMO_FAST_ID = "sumo/highway-fast-v0"  # the highway with the defaults of that
 LATER_IDS = tuple(
     f"replica/{id}" for id in ("roundabout-v1", "intersection-v1", "intersection-v2", "u-turn-v1")
 )
+# highway-env's intersection with two learning cars
+TUPLE_IDS = tuple(f"replica/intersection-multi-agent-v{version}" for version in range(3))
 
 
 def task_of(id: str) -> str:
@@ -61,7 +63,7 @@ def register(id: str, task: Any) -> None:
         raise TypeError(f"register({id!r}, {task.__name__}) needs a task, not its class: {task.__name__}()")
     gym.register(
         id,
-        entry_point="sumo_env.env:DrivingEnv",
+        entry_point="sumo_env.several:make",
         vector_entry_point="sumo_env.vector:SumoVectorEnv",
         kwargs={"task": task},
     )
@@ -72,6 +74,13 @@ def check_task(task: Any, config: Any = None) -> None:
     from sumo_env.check import check_task  # numpy and the tasks, which `import sumo_env` does not need
 
     check_task(task, config)
+
+
+def parallel_env(env: Any, config: Any = None, **keywords: Any) -> Any:
+    """Several learning cars as PettingZoo's ``ParallelEnv``, see `sumo_env.parallel.parallel_env`."""
+    from sumo_env.parallel import parallel_env  # PettingZoo, of the extra [multi-agent]
+
+    return parallel_env(env, config, **keywords)
 
 
 # Classes that are imported when they are asked for, so that ``import sumo_env`` takes no time.
@@ -93,7 +102,18 @@ for _id in (*IDS, SUMO_FAST_ID):
 for _id in (*REPLICA_IDS, FAST_ID, *LATER_IDS):
     gym.register(
         _id,
-        entry_point="sumo_env.replica.env:ReplicaEnv",
+        entry_point="sumo_env.several:make_replica",
         vector_entry_point="sumo_env.replica.vector:make",
         kwargs={"task": task_of(_id), "version": version_of(_id)},
+    )
+for _version, _id in enumerate(TUPLE_IDS):
+    gym.register(
+        _id,
+        entry_point="sumo_env.several:make_replica",
+        kwargs={
+            "task": "intersection",
+            "version": _version - _version % 2,
+            "cars": 2,
+            "per_car": _version > 0,
+        },
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from contextvars import ContextVar
 from functools import update_wrapper
 from types import MethodType
@@ -26,8 +25,8 @@ from sumo_env.views import ActionType, Observed, RoadView, Vehicle, road_view
 class _ClassOrInstance:
     """A method of an environment, or of a class of environments where it is called on that, as in highway-env.
 
-    While an environment is configured, its classes stand for it: what a class method of a subclass gets by
-    ``super().default_config()`` are the defaults of that environment's task.
+    While an environment asks for its defaults (`_defaults`), its classes stand for it: what a class method of a
+    subclass gets by ``super().default_config()`` are the defaults of that environment's task.
     """
 
     def __init__(self, function: Callable[[Any], Config]) -> None:
@@ -42,24 +41,13 @@ class _ClassOrInstance:
 
 class_or_instance: Any = _ClassOrInstance  # subclasses may write a method or a class method
 _configured: ContextVar[ReadAsHighwayEnv | None] = ContextVar("_configured", default=None)
-
-
-@contextmanager
-def configuring(env: ReadAsHighwayEnv) -> Iterator[None]:
-    """Within it, the classes of this environment stand for it, see `class_or_instance`."""
-    token = _configured.set(env)
-    try:
-        yield
-    finally:
-        _configured.reset(token)
-
-
 AFTER_RESET = ("vehicle", "controlled_vehicles", "road", "scene", "time", "steps")
 
 
 class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     """The part of `DrivingEnv` that scripts and subclasses written for highway-env meet."""
 
+    default_config: Any
     PERCEPTION_DISTANCE = PERCEPTION_DISTANCE  # [m]
     scene: Scene
     steps: int
@@ -93,6 +81,14 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
             if name in AFTER_RESET:
                 raise AttributeError(f"{owner!r} has no attribute {name!r}: call reset() first", name=name)
             raise missing(repr(owner), "env", name, dir(type(self)))
+
+    def _defaults(self) -> Config:
+        """What `default_config` returns, while the classes of this environment stand for it."""
+        token = _configured.set(self)
+        try:
+            return dict(self.default_config())
+        finally:
+            _configured.reset(token)
 
     def _observe(self) -> NDArray[np.float32]:
         raise NotImplementedError

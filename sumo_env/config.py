@@ -109,7 +109,11 @@ WITHOUT_EFFECT = {
 }
 FIXED: dict[str, tuple[Any, str]] = {
     "traffic_model": ("sumo", "SUMO's own drivers are the only ones"),  # stored configurations have it
-    "controlled_vehicles": (1, "there is one ego"),
+    "controlled_vehicles": (
+        1,
+        "gymnasium.make with this key, or sumo_env.parallel_env, makes environments of several learning cars "
+        "(docs/several-cars.md)",
+    ),
     "obey_traffic_lights": (False, "this road has no traffic lights"),
     "other_vehicles_type": (
         "highway_env.vehicle.behavior.IDMVehicle",
@@ -203,10 +207,13 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
 
 
 def refuse_misplaced(keywords: Mapping[str, Any]) -> None:
-    """An error about arguments of ``gym.make`` that an environment does not have; most are keys of `config`."""
+    """An error about arguments of ``gym.make`` that an environment does not have; most are keys of `config`.
+
+    It begins as Python's own, which TorchRL looks for.
+    """
     for key, value in keywords.items():
         raise TypeError(
-            f"{key!r} is no argument of the environment. A key of the configuration is set by "
+            f"__init__() got an unexpected keyword argument {key!r}; a key of the configuration is set by "
             f"gym.make(..., config={{{key!r}: {value!r}}})"
         )
 

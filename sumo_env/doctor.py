@@ -39,7 +39,7 @@ def gymnasium() -> str:
 
 def sumo() -> str:
     """libsumo can be imported and is the version that everything was measured with."""
-    from sumo_env.sumo.session import version
+    from sumo_env.sumo.engine import version
 
     if SUMO_VERSION not in version():
         raise RuntimeError(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
-from sumo_env.as_highway_env import ReadAsHighwayEnv, class_or_instance, configuring
+from sumo_env.as_highway_env import ReadAsHighwayEnv, class_or_instance
 from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, resolve
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import ending, information, interface, on_its_way
@@ -25,12 +25,20 @@ from sumo_env.occupancy import OccupancyGrid
 from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.screen import OnScreen
-from sumo_env.simulator import Command, EgoCommand, Simulator, Step
-from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
+from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
+from sumo_env.sumo.options import (
+    OUTPUT_DIR,
+    REFUSED,
+    REFUSED_FOR_FILES,
+    check_effect,
+    check_live,
+    check_options,
+)
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
+from sumo_env.traffic.foreign import check_outputs
 from sumo_env.traffic.scenario import Scenario
 
 Observation = NDArray[np.float32]
@@ -50,14 +58,16 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     Args:
         task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
-        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/first-steps.md).
+        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/windows.md).
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
         sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
+        live: None or ``"sumo-gui"``, SUMO's own window (docs/windows.md).
 
     Raises:
         ConfigError: unknown task or key, wrong value.
     """
 
+    cars = 1  # learning cars of the scenario, of which this environment sees one
     steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
@@ -68,13 +78,15 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         render_mode: str | None = None,
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
+        live: str | None = None,
         **misplaced: Any,
     ) -> None:
         refuse_misplaced(misplaced)
-        if simulator is not None and sumo_options:
+        if simulator is not None and (sumo_options or live):
             raise ValueError(
-                "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
+                "sumo_options and live are for SUMO, which this environment starts itself: leave out `simulator`"
             )
+        self._live = check_live(live)
         self.task: Task = get_task(task)
         self._open(render_mode)
         self._given = self._simulator = simulator
@@ -100,9 +112,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
-        with configuring(self):
-            defaults = self.default_config()
-        changed = resolve(self.task.name, defaults, getattr(self, "config", None), config)
+        changed = resolve(self.task.name, self._defaults(), getattr(self, "config", None), config)
         if changed.get("manual_control") and self.render_mode != "human":
             raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)
@@ -149,6 +159,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         Raises:
             ConfigError: an unknown option, key or name, a wrong value.
         """
+        return self._begin(*self._start(seed, options))
+
+    def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
+        """Draw the traffic of an episode and let it drive until the ego is there, see `reset`."""
         super().reset(seed=seed)
         options = options or {}
         unknown = options.keys() - {"config", "scenario", *VARIED}
@@ -174,21 +188,25 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             raise ConfigError(str(error)) from error
         self._refuse_backwards("the ego at the start", ego.speed)
         self.scenario = scenario
+        if self._simulator is None:
+            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
+        self._commands: list[Commands] = []
+        return scenario, self._simulator.reset(scenario)
+
+    def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
+        """The ego is on the road: its first observation and ``info``."""
+        self.scenario, self.scene = scenario, scene
         self._road, self._route = scenario.road, ego_route(scenario.road, scenario.ego)
         self._spec_of = {spec.id: spec for spec in scenario.specs}
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
         self._target_lane, speed = scenario.ego.lane, scenario.ego.speed
-        if self._simulator is None:
-            self._simulator = SumoProcess(options=self._options, here=True)
-        self.scene: Scene = self._simulator.reset(scenario)
         if self.scene.place is not None:  # SUMO has found a place for the ego
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
         self.steps, self._handed_over, self._is_closed = 0, False, False
         self._ending = self._action_name = ""
-        self._commands: list[Command] = []
-        self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
+        self._last = EgoStep(self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
         self._film((self.scene,))
         observation = self._observe()
@@ -213,17 +231,38 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
         action = self._chosen(action)
+        command = self._command(action)
+        step = self._drive({self.ego_id: command})
+        result = self._after(action, command, step.scene, step.ego)
+        self._follow_up()
+        return result
+
+    def _command(self, action: Any) -> Command:
+        """What an action commands the ego."""
         here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
         moment = Moment(
             self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place
         )
         command = self._action_type.command(action, moment)
-        if self._handed_over:
-            command = EgoCommand(None, None)
-        self._commands.append(command)
-        self._last = step = self._simulator.step(command, trace=self._is_watched)
+        return EgoCommand(None, None) if self._handed_over else command
+
+    def _drive(self, commands: Commands) -> Step:
+        """A policy step of the simulator."""
+        assert self._simulator is not None
+        self._commands.append(commands)
+        try:
+            step = self._simulator.step(commands, trace=self._is_watched)
+        except WindowClosed:  # the episode ends where it was
+            self._is_closed = True
+            step = Step(self.scene, dict.fromkeys(commands, self._last._replace(distance=0.0)))
         self._film(step.trace)
-        self.scene, self._target_lane = step.scene, step.target_lane
+        return step
+
+    def _after(
+        self, action: Any, command: Command, scene: Scene, ego: EgoStep
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What `step` returns after an action that meant this command."""
+        self.scene, self._last, self._target_lane = scene, ego, ego.target_lane
         if self.scene.place is not None:
             self._find_route()
         self.steps += 1
@@ -245,6 +284,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         if self._is_closed:
             truncated, self._ending = True, self._ending or "window closed"
         return observation, reward, terminated, truncated, self._info(observation, action)
+
+    def _follow_up(self) -> None:
+        """What happens between two steps."""
 
     def hand_over(self, to_sumo: bool = True) -> None:
         """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
@@ -286,7 +328,12 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def _draw(self, task: Task) -> Scenario:
         """The traffic of an episode, drawn with the environment's generator."""
-        return task.scenario(self.config, int(self.np_random.integers(2**31)))
+        return task.scenario(self._law, int(self.np_random.integers(2**31)))
+
+    @property
+    def _law(self) -> Config:
+        """The configuration that traffic is drawn by; a single environment's has no number of learning cars."""
+        return {**self.config, "controlled_vehicles": self.cars} if self.cars > 1 else self.config
 
     # -- parts ---------------------------------------------------------------------------------------------
 
@@ -428,6 +475,7 @@ class SumoDrivingEnv(DrivingEnv):
             raise ConfigError(str(error)) from error
         super().__init__(task, config, **keywords)
         if output_dir is not None:
+            check_outputs(task.outputs)
             outputs = [f"--{name}={value}" for name, value in task.outputs]
             self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
         elif task.outputs:

@@ -59,7 +59,10 @@ TYPES = {
     "GrayscaleObservation": "gymnasium.wrappers.AddRenderObservation(env) observes the pictures of "
     "gym.make(..., render_mode='rgb_array')",
     "LidarObservation": "a gymnasium.ObservationWrapper can read the places of all vehicles from env.unwrapped.scene",
-    **dict.fromkeys(("MultiAgentObservation", "MultiAgentAction"), "there is one ego"),
+    **dict.fromkeys(
+        ("MultiAgentObservation", "MultiAgentAction"),
+        "gym.make and sumo_env.parallel_env make several learning cars",
+    ),
     **dict.fromkeys(
         ("KinematicsGoal", "AttributesObservation", "ExitObservation"),
         "it belongs to a road that is not here",

@@ -14,7 +14,7 @@ from sumo_env import export
 from sumo_env.networks import files
 from sumo_env.networks.roads import Road
 from sumo_env.scene import Scene
-from sumo_env.simulator import Command, Simulator
+from sumo_env.simulator import Commands, Simulator
 from sumo_env.sumo.options import OUTPUT_DIR
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo
@@ -31,7 +31,7 @@ class OwnSumo:
     _given: Simulator | None
     _simulator: Simulator | None
     _options: tuple[str, ...]
-    _commands: list[Command]
+    _commands: list[Commands]
     _road: Road
     _route: tuple[str, ...]
     _spec_of: dict[str, VehicleSpec]
@@ -57,8 +57,8 @@ class OwnSumo:
                 simulator = SumoProcess(options=(*acting, f"--fcd-output={recorded}"))
             with closing(simulator):
                 scenes = [simulator.reset(self.scenario)]
-                for command in self._commands:
-                    scenes += simulator.step(command, trace=True).trace
+                for commands in self._commands:
+                    scenes += simulator.step(commands, trace=True).trace
             return export.write(Path(folder), self.scenario, scenes, recorded)
 
     @property

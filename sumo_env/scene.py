@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import NamedTuple
 
@@ -94,10 +94,12 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Struct of arrays, one row per vehicle, row 0 the ego; highway-env's coordinates (x east, y *down*).
+    """Struct of arrays, one row per vehicle, the learning cars first; highway-env's coordinates (x east, y *down*).
+
+    Row 0 is the ego: the only learning car, or the one by which the scene is seen (`seen_by`).
 
     Attributes:
-        ids: names of the vehicles, the ego first.
+        ids: names of the vehicles.
         x, y: centres of the vehicles [m], shape (n,).
         speed: along the heading [m/s], shape (n,).
         heading: from +x towards +y [rad], shape (n,).
@@ -107,6 +109,8 @@ class Scene:
         sizes: length and width [m] of the vehicles that do not have highway-env's size.
         light: the next traffic light on the ego's way.
         place: the ego's on a network with SUMO's own traffic, None elsewhere.
+        cars: number of first rows that are learning cars.
+        further: light and place of the learning cars but the ego, by their ids.
     """
 
     ids: tuple[str, ...]
@@ -120,6 +124,19 @@ class Scene:
     sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     light: Light = NO_LIGHT
     place: Place | None = None
+    cars: int = 1
+    further: Mapping[str, tuple[Light, Place | None]] = field(default_factory=dict)
+
+    def seen_by(self, name: str) -> Scene:
+        """The scene in which this learning car is the ego; KeyError if there is no such one."""
+        if self.ids[:1] == (name,):
+            return self
+        light, place = self.further[name]
+        row = self.ids.index(name)
+        order = [row, *range(row), *range(row + 1, len(self))]
+        arrays = {key: getattr(self, key)[order] for key in ("x", "y", "speed", "heading", "crashed")}
+        ids = tuple(self.ids[k] for k in order)
+        return replace(self, ids=ids, **arrays, light=light, place=place, further={})
 
     def size(self, name: str) -> tuple[float, float]:
         """Length and width of a vehicle [m]."""

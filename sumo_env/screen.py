@@ -36,7 +36,7 @@ class OnScreen:
     _video: RecordVideo[Any, Any] | None = None
     _window: Window | None = None  # of render mode "human"
     _action_name = ""  # of the last meta-action of this episode
-    _is_closed = False  # whether the user has closed the window in this episode
+    _is_closed = False  # whether the user has closed a window in this episode
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode.
@@ -89,7 +89,7 @@ class OnScreen:
         if self.config.get("manual_control") and self._window is not None:
             action = self._window.action(self._action_type)
         if np.ndim(action) == 0 and self.render_mode is not None:
-            self._action_name = self._action_type.names.get(action, "")
+            self._action_name = self._action_type.names.get(np.asarray(action).item(), "")
         return action
 
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:

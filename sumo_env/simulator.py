@@ -7,6 +7,7 @@ another process; neither side modifies the other's state.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -18,6 +19,10 @@ from sumo_env.traffic.scenario import Scenario
 
 class SimulatorError(RuntimeError):
     """A simulator cannot continue an episode; `reset` starts another one."""
+
+
+class WindowClosed(SimulatorError):
+    """The user has closed SUMO's own window, and the simulation with it."""
 
 
 class EgoCommand(NamedTuple):
@@ -56,6 +61,25 @@ class SteeringCommand(NamedTuple):
 
 
 Command = EgoCommand | SteeringCommand
+# What each learning car does in a policy step, by its id. None takes a car off the road, for good.
+Commands = Mapping[str, Command | None]
+
+
+class EgoStep(NamedTuple):
+    """What one learning car has met in a policy step.
+
+    Attributes:
+        target_lane: lane that it steers for at the end; at the end of a lane this is the next lane of its route.
+        crash: its first contact of the episode, in this step or an earlier one; None without one.
+        min_ttc: least time to collision with any vehicle within 100 m after any sub-step [s], inf without one within
+            10 s.
+        distance: covered in this step [m].
+    """
+
+    target_lane: LaneIndex
+    crash: CrashRecord | None
+    min_ttc: float
+    distance: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,20 +88,18 @@ class Step:
 
     Attributes:
         scene: at the end of the step.
-        target_lane: lane that the ego steers for at the end; at the end of a lane this is the next lane of its route.
-        crash: the ego's first contact of the episode, in this step or an earlier one; None without one.
-        min_ttc: least time to collision of the ego with any vehicle within 100 m after any sub-step [s], inf without
-            one within 10 s.
-        distance: covered by the ego in this step [m].
+        egos: of each learning car on the road, by its id, in the order of the scene's rows.
         trace: the scene after every sub-step, the last one included; empty unless it was asked for.
     """
 
     scene: Scene
-    target_lane: LaneIndex
-    crash: CrashRecord | None
-    min_ttc: float
-    distance: float
+    egos: Mapping[str, EgoStep]
     trace: tuple[Scene, ...] = ()
+
+    @property
+    def ego(self) -> EgoStep:
+        """Of the first learning car."""
+        return next(iter(self.egos.values()))
 
 
 class Simulator(Protocol):
@@ -86,14 +108,15 @@ class Simulator(Protocol):
     def reset(self, scenario: Scenario) -> Scene:
         """Place a scenario, drive its warm-up, and return the first scene. The previous episode ends.
 
-        The ego starts with the lane and the target speed of its `VehicleSpec`.
+        A learning car starts with the lane and the target speed of its `VehicleSpec`.
         """
         ...
 
-    def step(self, command: Any, trace: bool = False) -> Step:
+    def step(self, commands: Any, trace: bool = False) -> Step:
         """Drive one policy step: ``1 / scenario.policy_frequency`` seconds in sub-steps of the simulation frequency.
 
-        The command is an `EgoCommand` or, for a simulator that can steer the ego, a `SteeringCommand`.
+        `Commands` are an `EgoCommand` for each learning car or, for a simulator that can steer, a `SteeringCommand`.
+        SUMO drives a learning car without a command; the replica goes on with the targets that such a car has.
 
         Before the first sub-step, vehicles that have left the scene are removed and the scenario's spawns of this
         step are added (highway-env does this after the observation of the previous step, which is equivalent).

@@ -70,7 +70,7 @@ FLOORS = {
     "sumo_env": """
         networks < scene streams hints < config < contacts < traffic < tasks simulator < actions
         < observation rendering export window < occupancy neighbours views < interface as_highway_env < sumo
-        < own_sumo screen < env < doctor
+        < own_sumo screen < env < several < doctor
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation
@@ -127,7 +127,7 @@ def test_the_environments_on_sumo_compile_nothing() -> None:
 
 
 def test_one_module_imports_libsumo() -> None:
-    assert {name for name, used in IMPORTS if top(used) in ("libsumo", "traci")} == {"sumo_env.sumo.session"}
+    assert {name for name, used in IMPORTS if top(used) in ("libsumo", "traci")} == {"sumo_env.sumo.engine"}
 
 
 def test_the_environments_use_nothing_of_the_study() -> None:

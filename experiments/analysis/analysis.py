@@ -15,7 +15,7 @@ from scipy.stats import binom
 
 from agents.rules import POLICIES
 from experiments.analysis import plan as plans
-from experiments.analysis.cells import comparable, is_main, leave_out, unfinished
+from experiments.analysis.cells import comparable, incomplete, is_main, leave_out, unfinished
 from experiments.analysis.claims import claims, price
 from experiments.analysis.effects import KEY, WORKING_COLUMNS, adjusted, contrasts, decided, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
@@ -47,8 +47,8 @@ class Analysis:
     """What an analysis finds, as frames whose columns the functions of these names document.
 
     effects, means: of all comparisons (arm, against; tested_on; scenarios). plan, plan_hash: see `plan.as_data`. notes:
-    missing, failed, damaged and left_out cells and unfinished settings, with their reasons. price, learner (see
-    `gates.learner_checks`): empty where the plan does not ask for them. frontier: see `frontier.to_frontier`.
+    missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their reasons. price, learner
+    (see `gates.learner_checks`): empty where the plan does not ask for them. frontier: see `frontier.to_frontier`.
     """
 
     effects: pd.DataFrame
@@ -126,6 +126,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
             "damaged": dict(results.damaged),
             "left_out": left_out,
             "unfinished": early,
+            "incomplete": incomplete(chosen),
         },
         provenance=provenance(known),
         price=price(effects, plan),

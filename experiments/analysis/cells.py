@@ -11,6 +11,7 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from agents.rules import POLICIES
 from experiments.analysis.scores import SETTING
 from experiments.study.design.arms import ARMS
 from experiments.study.design.grid import setting
@@ -95,6 +96,28 @@ def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[s
             asked.setdefault(found[1], []).append(name)
     lacking = {part: sum(name not in chosen.cells for name in names) for part, names in asked.items()}
     return {p: f"{n} of {len(asked[p])} agents are missing" for p, n in lacking.items() if n}
+
+
+def incomplete(results: Results) -> dict[str, str]:
+    """What a comparison lacks, by setting as in `grid.setting`: agents of both arms with the same seeds, baselines."""
+    found: dict[str, dict[str, list[Any]]] = {}
+    for cell in results.cells.values():
+        key = cell["key"]
+        if is_main(cell):
+            here = found.setdefault(setting(key), {})
+            here.setdefault(key["arm"] or key["policy"], []).append(key["seed"])
+    reasons = {}
+    for name, here in found.items():
+        absent = [policy for policy in (*ARMS, *POLICIES) if policy not in here]
+        seeds = [sorted(here.get(arm, ())) for arm in ARMS]
+        said = [f"nothing of {', '.join(absent)}"] if absent else []
+        if seeds[0] != seeds[1]:
+            said.append("the arms have other seeds")
+        elif len(seeds[0]) == 1:
+            said.append("one agent in an arm, so that there is no interval")
+        if said:
+            reasons[name] = "; ".join(said)
+    return reasons
 
 
 def leave_out(results: Results, gone: Container[str] = (), settings: Container[str] = ()) -> Results:

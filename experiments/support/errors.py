@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agents import plugins
+from agents.checkpoint import CheckpointError
 
 USAGE = 2  # exit status: the call or the directory has to be put right first
 INTERRUPTED = 130  # exit status after Ctrl-C, as a shell has it
@@ -93,7 +94,7 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
         signal.signal(each, interrupt)
     try:
         status = main()
-    except UserError as error:
+    except (UserError, CheckpointError) as error:
         print(f"error: {error}", file=sys.stderr)
         status = USAGE
     except KeyboardInterrupt:
@@ -102,4 +103,9 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     except BrokenPipeError:  # the reader of our output (head, less) has gone
         sys.stderr.close()
         status = 1
+    except OSError as error:
+        if error.filename is None and error.errno != errno.ENOSPC:
+            raise
+        print(f"error: {disk_error(error, 'the files to write')}", file=sys.stderr)
+        status = USAGE
     sys.exit(status)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -12,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock
 
 from agents.checkpoint import atomic, open_regular, sync
 
@@ -38,6 +39,11 @@ def read_text(path: Path) -> str:
         return file.read().decode()
 
 
+def not_followed(name: str, flags: int) -> int:
+    """For `open(..., opener=)`: OSError where a link lies in the place of the file, or a pipe without a reader."""
+    return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+
+
 def is_name(name: object) -> bool:
     """Whether this can be the name of a file in a folder, and leads nowhere else."""
     return (
@@ -62,13 +68,13 @@ def write_json(path: Path, value: Any) -> None:
 @contextmanager
 def alone(directory: Path) -> Iterator[None]:
     """Wait until nobody else holds this directory, and hold it; a file system without such locks lets everybody in."""
-    descriptor = os.open(directory, os.O_RDONLY)
+    lock = FileLock(directory / ".lock", fallback_to_soft=False)
+    with suppress(OSError):
+        lock.acquire()
     try:
-        with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
-        os.close(descriptor)
+        lock.release()
 
 
 def publish(directory: Path, final: Path) -> None:

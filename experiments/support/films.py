@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from agents.checkpoint import atomic
 from experiments.support.errors import UserError
 
 FREQUENCY = 5  # pictures per second
@@ -75,16 +76,24 @@ def side_by_side(
     return sheets
 
 
+def check_film(file: Path | None, *endings: str) -> None:
+    """That a film can be written to a file, before it is made. Raises UserError; None is always right."""
+    if file is not None and file.suffix not in endings:
+        raise UserError(f"{file}: the name of a film ends in {' or '.join(endings)}")
+    if file is not None and not file.parent.is_dir():
+        raise UserError(
+            f"there is no folder {file.parent} for {file.name}: make it, or choose another one with --out"
+        )
+
+
 def save_film(pictures: Pictures, file: Path) -> None:
     """Write a film, as a GIF or, where the file's name ends so, as an MP4.
 
     Raises:
-        UserError: another kind of file, or moviepy is missing, which writes MP4.
+        UserError: moviepy is missing, which writes MP4.
     """
     if file.suffix == ".gif":
         return save_gif(pictures, file)
-    if file.suffix != ".mp4":
-        raise UserError(f"{file}: a film is a .gif or an .mp4")
     try:
         from moviepy import ImageSequenceClip  # type: ignore[import-untyped]
     except ImportError:
@@ -94,10 +103,13 @@ def save_film(pictures: Pictures, file: Path) -> None:
         picture.crop((0, 0, width // 2 * 2, height // 2 * 2)) for picture in pictures
     ]  # as H.264 asks for
     frames = [np.asarray(picture) for picture in even + even[-1:] * HOLD]
+    file.unlink(missing_ok=True)  # a link in its place is not followed
     ImageSequenceClip(frames, fps=FREQUENCY).write_videofile(str(file), logger=None)
 
 
 def save_gif(pictures: Pictures, file: Path) -> None:
-    """Write an animation; the last picture stays for a second."""
+    """Write an animation atomically; the last picture stays for a second."""
     first, *others = [picture.quantize(64) for picture in pictures + pictures[-1:] * HOLD]
-    first.save(file, save_all=True, append_images=others, duration=1000 // FREQUENCY, loop=0, optimize=True)
+    options: dict[str, Any] = {"duration": 1000 // FREQUENCY, "loop": 0, "optimize": True}
+    with atomic(file) as opened:
+        first.save(opened, "GIF", save_all=True, append_images=others, **options)

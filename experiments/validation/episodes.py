@@ -19,6 +19,7 @@ import pandas as pd
 
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
+from agents.schema import Wrong
 from experiments.backends import make_env
 from experiments.study.compute import run as runner
 from experiments.study.compute.evaluate import Drive, play
@@ -28,6 +29,8 @@ from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import level_names
 from experiments.study.design.sheet import sheet
+from experiments.study.results.packed import read_table
+from experiments.study.results.schema import Column, check_columns
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
@@ -66,6 +69,9 @@ COLUMNS: dict[str, str] = {
     "density": "float32",  # other vehicles within 200 m, mean over the steps
     **dict.fromkeys(HEADWAYS, "uint16"),
 }
+
+
+STORED = {name: Column(kind, missing=kind.startswith("float")) for name, kind in COLUMNS.items()}
 
 
 def egos(task: str) -> tuple[str, ...]:
@@ -194,8 +200,19 @@ class Part:
         return self.directory / "work" / self.name
 
     def done(self) -> bool:
-        """Whether it is stored."""
-        return (self.directory / self.name).exists()
+        """Whether it is stored; a part that is damaged is named, and driven again."""
+        path, wanted = self.directory / self.name, len(self.episodes())
+        try:
+            table = read_table(path)
+            check_columns(table, STORED, COLUMNS)
+            if len(table) != wanted:
+                raise Wrong(f"it has {len(table)} rows, not {wanted}")
+        except FileNotFoundError:
+            return False
+        except Wrong as error:
+            print(f"{path} is damaged ({error}): its episodes are driven again", flush=True)
+            return False
+        return True
 
     def compute(self, heartbeat: runner.Heartbeat) -> None:
         """Drive all episodes and write the table as a parquet file."""

@@ -104,7 +104,7 @@ def count_near(x: Any, place: float, near: float) -> int:
 def collide(cars: Any, places: Any, rules: Any, before_ego: int) -> None:
     """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step.
 
-    Pairs are looked at in highway-env's order of vehicles; by ``rules.ego_contacts`` only those with the ego.
+    Pairs are looked at in highway-env's order of vehicles; by ``rules.ego_contacts`` only those with a learning car.
     """
     n, x = len(cars), places.room[0]
     for i in range(n):
@@ -118,9 +118,9 @@ def collide(cars: Any, places: Any, rules: Any, before_ego: int) -> None:
             if abs(x[j] - a.x) > near:
                 continue
             left -= 1
-            if rules.ego_contacts and i != before_ego and j != before_ego:
-                continue
             b = cars[row_of(j, before_ego)]
+            if rules.ego_contacts and not (a.is_ego or b.is_ego):
+                continue
             dx, dy = b.x - a.x, b.y - a.y
             if math.sqrt(dx * dx + dy * dy) > near:
                 continue
@@ -142,5 +142,17 @@ def ego_ttc(cars: Any) -> float:
         car = cars[j]
         if abs(car.x - ego.x) <= TTC_RADIUS and math.hypot(car.x - ego.x, car.y - ego.y) <= TTC_RADIUS:
             other = (car.x, car.y, car.speed, car.heading)
+            least = min(least, _ego_ttc(state, (other,), min(least, HORIZON)))
+    return least
+
+
+@borrowing
+def trace_ttc(frame: Any, row: int) -> float:
+    """`ego_ttc` of the car in this row of a frame of a trace, whose first rows are x, y, speed and heading."""
+    x, y, least = frame[0, row], frame[1, row], math.inf
+    state = (x, y, frame[2, row], frame[3, row])
+    for j in range(frame.shape[1]):
+        if j != row and math.hypot(frame[0, j] - x, frame[1, j] - y) <= TTC_RADIUS:
+            other = (frame[0, j], frame[1, j], frame[2, j], frame[3, j])
             least = min(least, _ego_ttc(state, (other,), min(least, HORIZON)))
     return least

@@ -18,11 +18,11 @@ from sumo_env.networks.roads import Road
 from sumo_env.replica.tables import as_rotated
 from sumo_env.streams import stream
 from sumo_env.tasks import TASKS, highway, roundabout, u_turn
-from sumo_env.tasks.base import Task, make_on_lane
-from sumo_env.tasks.intersection import INITIAL_SPAWN_PROBABILITY
+from sumo_env.tasks.base import Task, cars_count, make_on_lane
+from sumo_env.tasks.intersection import INITIAL_SPAWN_PROBABILITY, Intersection
 from sumo_env.tasks.two_way import ONCOMING, OWN
 from sumo_env.traffic.drivers import Driver
-from sumo_env.traffic.scenario import EGO, Scenario, Spawn, VehicleSpec, fits
+from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id, fits
 
 Random = np.random.Generator
 Centres = Sequence[tuple[float, float]]  # [m]
@@ -43,6 +43,7 @@ def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
     exact = task.road(config)
     road, frequency = as_rotated(exact), int(config["simulation_frequency"])
     spawns: tuple[Spawn, ...] = ()
+    cars = cars_count(config)
     if task.name == "highway":
         ego, vehicles = _highway(config, road, rng)
     elif task.name == "intersection":
@@ -50,10 +51,14 @@ def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
         centres = warm_up(exact, vehicles, task.warm_up, frequency)
         challenger = _arrival("challenger", road, rng, centres, 1.0, 60.0, (0.1, 0.0), straight=True)
         spawns = () if challenger is None else (Spawn(0, challenger),)
-        ego = task.ego(config, road, rng)
+        assert isinstance(task, Intersection)
+        ego, *further = [task.car(number, config, road, rng) for number in range(cars)]
+        vehicles += tuple(further)
     elif task.name in _OTHERS:
         ego = task.ego(config, road, rng)
         vehicles = _OTHERS[task.name](config, road, rng)
+        if cars > 1:
+            vehicles = tuple(task.with_cars(config, road, ego, list(vehicles), cars, rng))
     else:
         raise ConfigError(f"highway-env's draws of the task {task.name!r} are not known here; {INSTEAD}")
     return Scenario(
@@ -68,6 +73,7 @@ def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
         warm_up=task.warm_up,
         net=road.name,
         road_arguments=road.arguments,
+        further=tuple(car_id(number) for number in range(1, cars)),
     )
 
 
@@ -79,15 +85,18 @@ def _highway(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, Vehi
     lanes = road.count("0", "1")
     spread = math.exp(-5 / 40 * lanes)
     offset = config["ego_spacing"] * (12.0 + 25.0) * spread
-    start = highway.first_lane(config, rng)
-    x = 3.0 * offset + offset * rng.uniform(0.9, 1.1)
-    ego = make_on_lane(road, EGO, start, x, 25.0, _driver(road))
-    vehicles = []
-    for k in range(int(config["vehicles_count"])):
-        start, speed = ("0", "1", int(rng.integers(lanes))), rng.uniform(0.7 * 30.0, 0.8 * 30.0)
-        x += 1 / config["vehicles_density"] * (12.0 + speed) * spread * rng.uniform(0.9, 1.1)
-        vehicles.append(make_on_lane(road, f"v{k}", start, x, speed, _driver(road, _delta(rng))))
-    return ego, tuple(vehicles)
+    vehicles: list[VehicleSpec] = []
+    x, k = 3.0 * offset, 0
+    for number, share in enumerate(highway.near_split(int(config["vehicles_count"]), cars_count(config))):
+        start = highway.first_lane(config, rng)
+        x += offset * rng.uniform(0.9, 1.1)
+        vehicles.append(make_on_lane(road, car_id(number), start, x, 25.0, _driver(road)))
+        for _ in range(share):
+            start, speed = ("0", "1", int(rng.integers(lanes))), rng.uniform(0.7 * 30.0, 0.8 * 30.0)
+            x += 1 / config["vehicles_density"] * (12.0 + speed) * spread * rng.uniform(0.9, 1.1)
+            vehicles.append(make_on_lane(road, f"v{k}", start, x, speed, _driver(road, _delta(rng))))
+            k += 1
+    return vehicles[0], tuple(vehicles[1:])
 
 
 def _two_way(config: Config, road: Road, rng: Random) -> Vehicles:

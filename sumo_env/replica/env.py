@@ -21,8 +21,9 @@ from sumo_env.replica.linear import LAWS
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
 from sumo_env.replica.simulator import Replica
+from sumo_env.scene import Scene
 from sumo_env.tasks.base import Task
-from sumo_env.traffic.scenario import EGO, Scenario
+from sumo_env.traffic.scenario import Scenario
 
 SCENARIOS = ("highway-env", "seeded")
 # Policy steps of two-way-v0, which has no duration (``max_episode_steps`` of its registration).
@@ -121,7 +122,9 @@ class ReplicaEnv(DrivingEnv):
             defaults["simulation_frequency"] = STOCK_FREQUENCY
         if self.is_stock:
             defaults["neighbour_vehicles_connected_lanes"] = False
-            defaults["observation"] = dict(OBSERVATIONS.get(self.task.name, defaults["observation"]))
+            name = getattr(getattr(self, "task", None), "name", "")  # the class has no task
+            if name in OBSERVATIONS:
+                defaults["observation"] = dict(OBSERVATIONS[name])
         return {**defaults, **copy.deepcopy(self._versioned)}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
@@ -140,7 +143,7 @@ class ReplicaEnv(DrivingEnv):
         Raises:
             ConfigError: `risk`, which nobody wants to be ignored.
         """
-        defaults, known = self.default_config(), {**getattr(self, "config", {}), **config}
+        defaults, known = self._defaults(), {**getattr(self, "config", {}), **config}
         if known.get("risk", 0.0) != 0.0:
             raise ConfigError(
                 f"config key 'risk' can only be 0.0, not {known['risk']!r}: highway-env's "
@@ -156,15 +159,12 @@ class ReplicaEnv(DrivingEnv):
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode, see `DrivingEnv.reset`."""
+    def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
         varied = [part for part in VARIED if part in (options or {})]
         if varied and self.is_stock:
             raise ConfigError(f"highway-env has no {', '.join(varied)} that a reset could vary; {INSTEAD}")
         self.draws_arrivals = False
-        return super().reset(seed=seed, options=options)
+        return super()._start(seed, options)
 
     def imagine(self, seed: int) -> DrivingEnv:
         """A copy in which drivers have other parameters too (`draws.with_other_drivers`), see `DrivingEnv.imagine`."""
@@ -177,21 +177,18 @@ class ReplicaEnv(DrivingEnv):
     def _draw(self, task: Task) -> Scenario:
         if self.is_stock:
             self.draws_arrivals = task.name == "intersection"
-            return draws.draw(task, self.config, self.np_random, self.replica.warm_up)
+            return draws.draw(task, self._law, self.np_random, self.replica.warm_up)
         if self._is_linear:
-            return draw_linear(task, self.config, int(self.np_random.integers(2**31)))
+            return draw_linear(task, self._law, int(self.np_random.integers(2**31)))
         return super()._draw(task)
 
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive one policy step, see `DrivingEnv.step`."""
-        result = super().step(action)
+    def _follow_up(self) -> None:
         if self.draws_arrivals:
             centres = self.replica.staying()
             spawn = draws.arrival(self.config, self._road, self.np_random, centres, self.steps)
             if spawn is not None:
                 self.scenario = self.replica.expect(spawn)
                 self._spec_of[spawn.vehicle.id] = spawn.vehicle
-        return result
 
     def begin(self) -> Start:
         """The traffic of the next episode, for a batch: drawn as by `reset`, with `np_random`."""
@@ -213,7 +210,7 @@ class ReplicaEnv(DrivingEnv):
 
     def _observe(self) -> Observation:
         if self._action_type.steers:  # it follows no route
-            self._spec_of[EGO] = self._spec_of[EGO]._replace(destination=None)
+            self._spec_of[self.ego_id] = self._spec_of[self.ego_id]._replace(destination=None)
         if self._own_observation is not None:
             return super()._observe()
         if isinstance(self._observation_type, OccupancyGrid):

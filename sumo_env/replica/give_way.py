@@ -3,7 +3,7 @@
 Every pair of cars is looked at: each is predicted along its route at its present speed, and if the two would meet
 within three seconds one of them has to give way, that is, its desired speed becomes 0 until the next time. It is the
 one on the lane of lower priority or, on lanes of equal priority, the one that has the other further in front of it.
-The ego is never made to give way.
+A learning car is never made to give way.
 """
 
 from __future__ import annotations
@@ -60,16 +60,19 @@ def predict(lanes: Any, cars: Any, places: Any, predicted: Any) -> None:
 
 @borrowing
 def predict_steered(cars: Any, rules: Any, ghost: Any, slip: Any, predicted: Any) -> None:
-    """Write where a steered ego, the first car, will be if it keeps its speed and the angle of its wheels.
+    """Write where steered learning cars will be if they keep their speeds and the angles of their wheels.
 
-    ``Vehicle.predict_trajectory_constant_speed``; `ghost` is room for a copy of the ego, `slip` for a number.
+    ``Vehicle.predict_trajectory_constant_speed``; `ghost` is room for a copy of a car, `slip` for a number.
     """
-    ghost[0] = cars[0]
-    ghost[0].acceleration = 0.0
-    for k in range(SAMPLES):
-        move(ghost, slip, rules, SAMPLE_STEP)
-        predicted[0, k, 0], predicted[0, k, 1] = ghost[0].x, ghost[0].y
-        predicted[0, k, 2] = ghost[0].heading
+    for i in range(len(cars)):
+        if not cars[i].is_ego:
+            continue
+        ghost[0] = cars[i]
+        ghost[0].acceleration = 0.0
+        for k in range(SAMPLES):
+            move(ghost, slip, rules, SAMPLE_STEP)
+            predicted[i, k, 0], predicted[i, k, 1] = ghost[0].x, ghost[0].y
+            predicted[i, k, 2] = ghost[0].heading
 
 
 @borrowing

@@ -23,8 +23,8 @@ from sumo_env.replica.draws import Centres
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.motion import MAX_SPEED
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
-from sumo_env.scene import Scene
-from sumo_env.simulator import Command, SteeringCommand, Step
+from sumo_env.scene import NO_LIGHT, Scene
+from sumo_env.simulator import Command, Commands, EgoStep, SteeringCommand, Step
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
 
 VARIANTS = ("stock", "path", "connected", "v0")
@@ -55,13 +55,14 @@ class Replica:
         _load()
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
         self._scenario: Scenario | None = None
-        self._crash: CrashRecord | None = None
+        self._crashes: dict[str, CrashRecord] = {}  # of the learning cars
+        self._before: int | None = None  # see `seen_by`
         self._ids: list[str] = []
         self._warm: tuple[tuple[VehicleSpec, ...], tables.Records] | None = None
 
     def reset(self, scenario: Scenario) -> Scene:
         """See `Simulator.reset`."""
-        self._batch, self._crash = begun(no_episodes(1), 0, self.load(scenario)), None
+        self._batch, self._crashes = begun(no_episodes(1), 0, self.load(scenario)), {}
         self._look()
         return self._scene(np.array([self._cars[name] for name in FRAME], float), 0)
 
@@ -88,35 +89,53 @@ class Replica:
         )
         return self.start
 
-    def step(self, command: Command, trace: bool = False) -> Step:
+    def step(self, commands: Commands, trace: bool = False) -> Step:
         """See `Simulator.step`."""
         if self._scenario is None:
             raise RuntimeError("call reset() before step()")
         batch, rules = self._batch, self.start.rules
-        ego = batch.cars[0, 0]
-        if isinstance(command, SteeringCommand):
-            rules = steered(rules, command.speed_range, command.dynamical)
-            ego["acceleration"], ego["steering"], ego["target_speed"] = *command[:2], 0.0  # see `step.hold`
-        elif command.target_speed is None or command.target_lane is None:
-            raise ValueError("the replica's ego needs a target speed and a target lane")
-        else:
-            ego["target_speed"] = command.target_speed
-            self._steer_ego_for(ego, command.target_lane)
+        for name, command in commands.items():
+            if isinstance(command, SteeringCommand):
+                rules = steered(rules, command.speed_range, command.dynamical)
+            self._obey(batch.cars[0, self._egos[name]], command)
+        speeds = {name: batch.cars[0, row]["speed"].item() for name, row in self._egos.items() if row}
         frames = np.empty((rules.substeps, len(FRAME), batch.cars.shape[1]))
-        crash, min_ttc, distance = kernels.policy_step(self.lanes.table, rules, batch, 0, frames)
+        met = kernels.policy_step(self.lanes.table, rules, batch, 0, frames)
         self._look()
         end = self._steps * rules.substeps
         start, frames = end - rules.substeps, frames[:, :, : len(self._cars)]
-        if crash >= 0 and self._crash is None:
-            self._crash = _record(self._scene(frames[crash], start + crash + 1))
+        egos = {}
+        for name, row in self._egos.items():
+            crash, min_ttc, distance = kernels.met(frames, row, speeds[name], rules.dt) if row else met
+            if crash >= 0 and name not in self._crashes:
+                self._crashes[name] = _record(self._scene(frames[crash], start + crash + 1).seen_by(name))
+            target = self.lanes.names[self._cars[row]["target"]]
+            egos[name] = EgoStep(target, self._crashes.get(name), min_ttc, distance)
         return Step(
             scene=self._scene(frames[-1], end),
-            target_lane=self.lanes.names[ego["target"]],
-            crash=self._crash,
-            min_ttc=min_ttc,
-            distance=distance,
+            egos=egos,
             trace=tuple(self._scene(frame, start + k + 1) for k, frame in enumerate(frames)) if trace else (),
         )
+
+    def _obey(self, ego: Any, command: Command | None) -> None:
+        """Take over the command of a policy step."""
+        if isinstance(command, SteeringCommand):
+            ego["acceleration"], ego["steering"], ego["target_speed"] = *command[:2], 0.0  # see `step.hold`
+        elif command is None or command.target_speed is None or command.target_lane is None:
+            raise ValueError("a learning car of the replica needs a target speed and a target lane")
+        else:
+            ego["target_speed"] = command.target_speed
+            self._steer_ego_for(ego, command.target_lane)
+
+    def seen_by(self, name: str) -> Replica:
+        """The present state in which this learning car is the ego, for `ego_place`, `before_ego` and `table`."""
+        first = self.before_ego()
+        order = [*range(1, first + 1), 0, *range(first + 1, len(self._cars))]  # highway-env's list
+        twin, row = copy.copy(self), self._egos[name]
+        twin._before = order.index(row)
+        order.remove(row)
+        twin._cars = tables.chosen(self._cars, [row, *order])
+        return twin
 
     def ego_place(self) -> tuple[LaneIndex, float, float, bool]:
         """The ego's lane, its coordinates on it (s and lat) [m], and whether it is on the road."""
@@ -125,7 +144,10 @@ class Replica:
 
     def before_ego(self) -> int:
         """How many of the others come before the ego in highway-env's list of vehicles."""
-        return int((self._cars["number"][1:] < self.start.first_arrival).sum())
+        if self._before is not None:
+            return self._before
+        others = self._cars[1:]
+        return int(((others["number"] < self.start.first_arrival) & ~others["is_ego"]).sum())
 
     def table(self, eyes: Eyes) -> np.ndarray:
         """The Kinematics observation."""
@@ -178,7 +200,7 @@ class Replica:
         """A copy for planners: it has cars of its own, and shares what never changes."""
         twin = copy.copy(self)
         if self._scenario is not None:
-            twin._batch = copied(self._batch)
+            twin._batch, twin._crashes = copied(self._batch), self._crashes.copy()
             twin._look()
         return twin
 
@@ -204,6 +226,8 @@ class Replica:
         specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
         numbers = {spec.id: number for number, spec in enumerate(specs)}
         self._ids, everybody = list(numbers), tables.cars_of(scenario.road, specs)
+        for name in scenario.further:
+            everybody["is_ego"][numbers[name]] = True
         if self.is_linear:
             for name, driver in linear_drivers(scenario).items():
                 tables.drive_linearly(everybody[numbers[name]], driver)
@@ -219,13 +243,15 @@ class Replica:
         if warm is not None and warm[0] is self._scenario.vehicles:
             cars = warm[1]
         else:
-            cars = self._driven(tables.chosen(placed, slice(1, None)), warmed_up)
+            cars = self._driven(tables.chosen(placed, ~placed["is_ego"]), warmed_up)
         for fresh in (late[k : k + 1] for k in range(len(late))):
             if kernels.is_free(cars, fresh["x"].item(), fresh["y"].item(), SPAWN_DISTANCE):
                 cars = tables.joined(cars, fresh)
-        ego = placed[0]
-        far = np.hypot(cars["x"] - ego["x"], cars["y"] - ego["y"]) >= EGO_DISTANCE
-        return tables.joined(placed[:1], tables.chosen(cars, far))
+        egos = tables.chosen(placed, placed["is_ego"])
+        for ego in egos:
+            far = np.hypot(cars["x"] - ego["x"], cars["y"] - ego["y"]) >= EGO_DISTANCE
+            cars = tables.chosen(cars, far)
+        return tables.joined(tables.joined(egos[:1], cars), egos[1:])
 
     def _driven(self, cars: tables.Records, substeps: int) -> tables.Records:
         kernels.warm_up(self.lanes.table, cars, self._rules, substeps)
@@ -233,10 +259,18 @@ class Replica:
 
     def _look(self) -> None:
         """Which cars are there now, and how many policy steps were driven."""
+        assert self._scenario is not None
         episode = self._batch.episodes[0]
         self._steps, self._cars = int(episode["steps"]), self._batch.cars[0, : episode["cars"]]
         if not self._steps or self._rules.regulation_interval:  # cars come and go at the intersection alone
-            self._present = tuple(self._ids[number] for number in self._cars["number"].tolist())
+            present = [self._ids[number] for number in self._cars["number"].tolist()]
+            rows = np.flatnonzero(self._cars["is_ego"]).tolist() if self._scenario.further else [0]
+            self._egos = {present[row]: row for row in rows}
+            self._order = None
+            if len(rows) > 1:
+                self._order = [*rows, *(row for row in range(len(present)) if row not in rows)]
+                present = [present[row] for row in self._order]
+            self._present = tuple(present)
 
     def _steer_ego_for(self, ego: Any, lane: LaneIndex) -> None:
         """Set the ego's target lane; on the next road of its route, that road begins the rest of the route."""
@@ -253,6 +287,8 @@ class Replica:
     def _scene(self, frame: Any, steps: int) -> Scene:
         """The scene of a frame of a trace, shape (6, n), after these sub-steps since the start."""
         assert self._scenario is not None
+        if self._order is not None:
+            frame = frame[:, self._order]
         return Scene(
             ids=self._present,
             x=frame[X],
@@ -262,6 +298,8 @@ class Replica:
             crashed=frame[CRASHED] > 0.0,
             time=round(steps / self._scenario.simulation_frequency, 6),
             in_event=frozenset(compress(self._present, frame[IN_EVENT])) if self._scenario.events else NOBODY,
+            cars=len(self._egos),
+            further=dict.fromkeys(self._present[1 : len(self._egos)], (NO_LIGHT, None)),
         )
 
 
@@ -281,6 +319,7 @@ def _load() -> None:
         kernels.staying(lanes, cars)
         kernels.is_free(cars, 0.0, 0.0, 0.0)
         kernels.policy_step(lanes, rules, no_episodes(1), 0, frames)
+        kernels.met(frames, 0, 0.0, 0.0)
         sight.ego_place(lanes, cars)
         sight.look(lanes, cars, Kinematics({}, 1).eyes, np.empty((5, 5), np.float32))
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_env.replica.compiled import borrowing, compiled
-from sumo_env.replica.contacts import collide, ego_ttc
+from sumo_env.replica.contacts import collide, ego_ttc, trace_ttc
 from sumo_env.replica.driving import drive, follow_road, free_roads
 from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
 from sumo_env.replica.give_way import regulate
@@ -141,8 +141,8 @@ def policy_step(lanes: Any, rules: Any, batch: Any, row: int, trace: Any) -> tup
         trace: where the sub-steps are written down, shape (sub-steps, 6, room for cars), or nowhere (0, 6, 0).
 
     Returns:
-        the frame in which the ego crashed (-1: none), the least time to collision [s], and the distance covered by the
-        ego [m].
+        the frame in which the ego, the first car, crashed (-1: none), the least time to collision [s], and the distance
+        that it covered [m].
     """
     episode = batch.episodes[row]
     if rules.regulation_interval > 0 and episode.steps > 0:
@@ -150,7 +150,7 @@ def policy_step(lanes: Any, rules: Any, batch: Any, row: int, trace: Any) -> tup
     cars, events = batch.cars[row, : episode.cars], batch.events[row, : episode.events]
     crash, least, distance, before_ego = -1, math.inf, 0.0, 0
     for i in range(1, len(cars)):
-        before_ego += cars[i].number < episode.first_arrival
+        before_ego += cars[i].number < episode.first_arrival and not cars[i].is_ego
     places = no_places(lanes, cars)
     locate(lanes, cars, places)
     for frame in range(rules.substeps):
@@ -172,4 +172,21 @@ def policy_step(lanes: Any, rules: Any, batch: Any, row: int, trace: Any) -> tup
         elif crash < 0:
             crash = frame
     episode.steps += 1
+    return crash, least, distance
+
+
+@compiled
+def met(trace: Any, row: int, speed: float, dt: float) -> tuple[int, float, float]:
+    """What `policy_step` returns, of another learning car, from its trace.
+
+    row: of the car; speed: before the step [m/s]; dt: length of a sub-step [s].
+    """
+    crash, least, distance = -1, math.inf, 0.0
+    for frame in range(len(trace)):
+        distance += max(speed, 0.0) * dt
+        speed = trace[frame, SPEED, row]
+        if trace[frame, CRASHED, row] == 0.0:
+            least = min(least, trace_ttc(trace[frame], row))
+        elif crash < 0:
+            crash = frame
     return crash, least, distance

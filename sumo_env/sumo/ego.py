@@ -16,7 +16,7 @@ from sumo_env.scene import RED, YELLOW, Light
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.events import modes
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
-from sumo_env.traffic.scenario import EGO, Scenario
+from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
 REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reproduced at any step length
@@ -60,8 +60,9 @@ class Controls:
 class Ego:
     """The ego during one episode."""
 
-    def __init__(self, session: Session, scenario: Scenario, network: Network) -> None:
-        spec = scenario.ego
+    def __init__(self, session: Session, scenario: Scenario, network: Network, spec: VehicleSpec) -> None:
+        """spec: the ego among the scenario's learning cars."""
+        self._name = spec.id
         self._session, self._network, self._road = session, network, scenario.road
         self._route = ego_route(self._road, spec)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
@@ -69,7 +70,7 @@ class Ego:
         self._obeys_lights = scenario.obeys_lights
         self._lane, self._stretch = "", 1.0  # of SUMO
         self._acceleration: float | None = None
-        self.controls = Controls(session, EGO, modes(spec, scenario.calibration), True, True)
+        self.controls = Controls(session, self._name, modes(spec, scenario.calibration), True, True)
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO what is not commanded."""
@@ -95,16 +96,16 @@ class Ego:
             before = self.speed
             self.speed, distance = driven(before, self.target_speed, self._acceleration, dt)
             if self._obeys_lights:
-                allowed = speed_before(session.next_light(EGO), before, dt)
+                allowed = speed_before(session.next_light(self._name), before, dt)
                 if allowed < self.speed:
                     self.speed, distance = allowed, (before + allowed) / 2.0 * dt
-        lane = session.lane_of(EGO)
+        lane = session.lane_of(self._name)
         if lane != self._lane:
             self._follow_fork(self._lane, lane)
             self._lane, self._stretch = lane, self._network.stretch(lane)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         if self.controls.speed:
-            session.set_speed(EGO, distance / session.step_length * self._stretch)
+            session.set_speed(self._name, distance / session.step_length * self._stretch)
         if not self.crashed:
             self._change_lane(lane)
         return distance
@@ -113,7 +114,7 @@ class Ego:
         """After a step in which SUMO has chosen the speed; returns the distance that was covered [m]."""
         if self.controls.speed:
             return 0.0
-        self.speed = self._session.speed_of(EGO) / self._stretch
+        self.speed = self._session.speed_of(self._name) / self._stretch
         return self.speed * self._session.step_length
 
     def _follow_fork(self, before: str, lane: str) -> None:
@@ -132,13 +133,13 @@ class Ego:
         if lane.startswith(":"):
             return
         target = self.target_lane[2]
-        if place == target or self._session.changes_lane(EGO):
+        if place == target or self._session.changes_lane(self._name):
             return
         count = self._road.count(start, end)
         if self._road.oncoming:  # the lane of oncoming traffic is SUMO's opposite lane
-            self._session.change_lane_relative(EGO, 1 if target == 0 else -1)
+            self._session.change_lane_relative(self._name, 1 if target == 0 else -1)
         elif count == self._road.count(*self.target_lane[:2]):
-            self._session.change_lane(EGO, self._network.sumo_index((start, end, target)))
+            self._session.change_lane(self._name, self._network.sumo_index((start, end, target)))
 
 
 @lru_cache(maxsize=32)

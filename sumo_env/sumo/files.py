@@ -13,21 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
-from sumo_env.contacts.crash import CrashDetector
-from sumo_env.contacts.measures import HORIZON
 from sumo_env.scene import NO_LIGHT, Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.simulator import Commands, SimulatorError, Step
+from sumo_env.sumo.car import Car
 from sumo_env.sumo.events import Events
 from sumo_env.sumo.options import OUTPUT_DIR
 from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.settings import file_settings
-from sumo_env.sumo.surroundings import Surroundings
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.traffic.drivers import Deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events
 from sumo_env.traffic.scenario import Scenario, SumoTraffic
 
+GONE = ("arrived", "removed")  # how a car's way may have ended off the road
 # Classes whose drivers risk changes: those of roads, but bicycles.
 RISKY_CLASSES = {
     *("passenger", "private", "taxi", "hov", "evehicle", "bus", "coach", "delivery", "truck", "trailer"),
@@ -47,24 +46,28 @@ class FileSimulator(SumoSimulator):
         self._scenario, self._traffic, self._name = scenario, traffic, scenario.ego.id
         self._network = scenario.network
         self._modes, self._crashed = {}, {}
-        self._detector = CrashDetector()
+        self._cars: dict[str, Car[RouteEgo]] = {}  # type: ignore[assignment]
+        self._came: list[str] = []  # learning cars that have departed
         self._models = dict(traffic.models)
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._session.load(file_settings(scenario, self._options, self._episode_folder()))
         self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
-        self._time, self._has_departed = -inf, False  # no episode yet
+        self._time = -inf  # no episode yet
         self._insert_ego(scenario, traffic)
         self._time = 0.0
         for name in self._modes:
             self._plan(name, 0.0)
-        self._route_ego = RouteEgo(
-            self._session, self._network, self._name, scenario.obeys_lights, traffic.measures_energy
-        )
-        self._around = Surroundings(
-            self._session, self._route_ego.speed, self._network.meeting, ego=self._name
-        )
+        self._take_wheels()
         return self._read()
+
+    def _take_wheels(self) -> None:
+        """Learning cars that have departed are the agents' from now on."""
+        energy, lights = self._traffic.measures_energy, self._scenario.obeys_lights
+        for name in self._came:
+            if name in self._modes and name not in self._cars:
+                ego = RouteEgo(self._session, self._network, name, lights, energy)
+                self._cars[name] = Car(self._session, name, ego, self._network.meeting)
 
     def _episode_folder(self) -> Path:
         """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted with the simulator."""
@@ -102,20 +105,37 @@ class FileSimulator(SumoSimulator):
                 f"{origin.type!r}"
             )
         steps = 0
-        while not self._has_departed:
+        while not any(car in self._modes for car in self._came):
+            if self._came and self._is_alone:
+                raise SimulatorError(
+                    f"the ego {name!r} has departed and left the road again before 'warm_up' ({traffic.warm_up:g} s) "
+                    "was over"
+                )
             if steps * self._dt >= traffic.wait:
                 raise SimulatorError(self._why_not_here(traffic))
             self._advance()
             steps += 1
-        if name not in self._modes:
-            raise SimulatorError(
-                f"the ego {name!r} has departed and left the road again before 'warm_up' ({traffic.warm_up:g} s) was "
-                "over"
-            )
+
+    @property
+    def _is_alone(self) -> bool:
+        """Whether there is no other learning car than the ego."""
+        return not self._scenario.further and not self._traffic.car_type
+
+    def _is_learning(self, name: str) -> bool:
+        """Whether a vehicle that departs is a learning car."""
+        if self._traffic.car_type:
+            is_one = self._session.type_of(name) == self._traffic.car_type
+            return is_one and len(self._came) < self._traffic.max_cars
+        return name == self._name or name in self._scenario.further
 
     def _why_not_here(self, traffic: SumoTraffic) -> str:
         session, name = self._session, self._name
         after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.time():g} s"
+        if not self._is_alone:
+            cars = (
+                f"of type {traffic.car_type!r}" if traffic.car_type else f"{name!r}, {self._scenario.further}"
+            )
+            return f"no learning car ({cars}) has departed within {after}"
         if name in session.waiting():
             return (
                 f"SUMO could not insert the ego {name!r} within {after}: there is no room for it where it departs, or "
@@ -128,30 +148,33 @@ class FileSimulator(SumoSimulator):
 
     # -- a policy step -------------------------------------------------------------------------------------
 
-    def _step(self, command: EgoCommand, trace: bool) -> Step:
+    def _step(self, commands: Commands, trace: bool) -> Step:
         self._session.check()
-        ego, around = self._route_ego, self._around
-        ego.obey(command)
-        around.take_stock()
-        least_ttc, distance, scenes = inf, 0.0, []
-        for _ in range(0 if ego.ended else self._substeps):
-            self._events.act(self._time, self._dt)
-            ego.drive(self._dt)
-            reported = self._advance()
-            if ego.ended in ("arrived", "removed"):
+        for name in [name for name, car in self._cars.items() if car.ego.ended and name not in commands]:
+            car = self._cars.pop(name)
+            if name in self._modes:
+                car.ego.controls.command(False, False)  # SUMO's from now on
+        self._obey(commands)
+        scenes = []
+        for _ in range(self._substeps):
+            driving = [car for car in self._cars.values() if not car.ego.ended]
+            if not driving:
                 break
-            distance += ego.settle(self._dt)
-            self._look(ego, reported)
-            if not ego.crashed and around.near:
-                least_ttc = min(least_ttc, around.time_to_collision(min(least_ttc, HORIZON)))
+            self._events.act(self._time, self._dt)
+            for car in driving:
+                car.ego.drive(self._dt)
+            reported = self._advance()
+            for car in driving:
+                if car.ego.ended not in GONE:
+                    car.distance += car.ego.settle(self._dt)
+                    if (crash := car.look(self._time, self._dt, reported)) is not None:
+                        self._hit(car, crash)
+            self._take_wheels()
             if trace:
                 scenes.append(self._read())
-            if ego.ended:
-                break
-        scene = scenes[-1] if scenes and ego.ended in ("", "missed turn") else self._read()
-        if trace and (not scenes or scenes[-1] is not scene):
-            scenes.append(scene)
-        return Step(scene, ego.target_lane, self._detector.crash, least_ttc, distance, tuple(scenes))
+        scene = scenes[-1] if scenes else self._read()
+        met = {name: car.met() for name, car in self._cars.items()}
+        return Step(scene, met, (tuple(scenes) or (scene,)) if trace else ())
 
     def _advance(self) -> Sequence[tuple[str, str]]:
         """One step of SUMO; returns the pairs of vehicles that it reports in collision."""
@@ -159,19 +182,21 @@ class FileSimulator(SumoSimulator):
         reported = self._step_sumo()
         for name in session.departed():
             self._modes[name] = REGULAR, OWN_LANE_CHANGES
-            self._has_departed |= name == self._name
-            if self._scenario.risk > 0.0 and name != self._name:
+            if self._is_learning(name):
+                self._came.append(name)
+            elif self._scenario.risk > 0.0:
                 self._make_risky(name)
         for name in session.arrived:
-            self._forget(name)
-        if self._time > 0.0 and self._name not in self._modes:
-            self._route_ego.ended = "arrived" if self._route_ego.is_near_its_end(self._dt) else "removed"
-        elif self._time > 0.0 and self._name in session.teleported():
-            self._route_ego.ended = "removed"
+            self._modes.pop(name, None)
+            self._crashed.pop(name, None)
+        for name, car in self._cars.items():
+            if car.ego.ended:
+                continue
+            if name not in self._modes:
+                car.ego.ended = "arrived" if car.ego.is_near_its_end(self._dt) else "removed"
+            elif name in session.teleported():
+                car.ego.ended = "removed"
         return reported
-
-    def _note_crashes(self, reported: Sequence[tuple[str, str]]) -> None:
-        """Crashes of the others are SUMO's business."""
 
     # -- risk ----------------------------------------------------------------------------------------------
 
@@ -191,7 +216,7 @@ class FileSimulator(SumoSimulator):
     def _drawn(self, name: str, start: float) -> tuple[RiskEvent, ...]:
         """The events of a vehicle from `start` [s] on; its random stream has its own name."""
         scenario, traffic = self._scenario, self._traffic
-        if name == self._name or self._session.class_of(name) not in RISKY_CLASSES:
+        if name in self._came or self._session.class_of(name) not in RISKY_CLASSES:
             return ()
         seed = scenario.seed if traffic.imagined is None else traffic.imagined
         drawn = draw_events(
@@ -208,15 +233,24 @@ class FileSimulator(SumoSimulator):
     # -- reading -------------------------------------------------------------------------------------------
 
     def _read(self) -> Scene:
-        """The scene by SUMO's vehicles, the ego first."""
-        session, name, ego = self._session, self._name, self._route_ego
-        gone = ego.ended in ("arrived", "removed")
-        ids = (name, *[other for other in session.vehicles() if other != name])
-        states = {name: self._around.ego}
-        states |= session.read([other for other in ids if other != name])
-        x, y, speed, heading = map(np.array, zip(*[states[one] for one in ids], strict=True))
-        crashed = np.array([ego.crashed, *(other in self._crashed for other in ids[1:])], np.bool_)
+        """The scene by SUMO's vehicles, the learning cars first."""
+        session, cars = self._session, self._cars
+        others = [name for name in session.vehicles() if name not in cars]
+        states = {name: car.around.ego for name, car in cars.items()} | session.read(others)
+        ids = tuple(states)
+        x, y, speed, heading = map(np.array, zip(*states.values(), strict=True))
+        crashed = np.array([name in self._crashed for name in ids], np.bool_)
+        crashed[: len(cars)] = [car.ego.crashed for car in cars.values()]
         sizes = {one: size for one, size in session.sizes.items() if one in states}
-        light = NO_LIGHT if gone else session.next_light(name)
-        acting, place = self._events.acting, ego.place(len(session.waiting()))
-        return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6), acting, sizes, light, place)
+        acting, waiting = self._events.acting, len(session.waiting())
+        seen = [
+            (NO_LIGHT if car.ego.ended in GONE else session.next_light(name), car.ego.place(waiting))
+            for name, car in cars.items()
+        ]
+        return Scene(
+            *(ids, x, y, speed, heading, crashed, round(self._time, 6), acting, sizes),
+            light=seen[0][0] if seen else NO_LIGHT,
+            place=seen[0][1] if seen else None,
+            cars=len(cars),
+            further=dict(zip(ids[1:], seen[1:], strict=False)),
+        )

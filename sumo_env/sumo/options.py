@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from sumo_env.config import ConfigError
@@ -33,6 +34,33 @@ REFUSED_FOR_FILES = (
     *("--load-state", "--mesosim", "--output-prefix", "--remote-port", "--num-clients", "--gui", "--start"),
 )
 OUTPUT_DIR = "--output-dir"  # no option of SUMO: the folder for its outputs
+LIVE = "--sumo-gui"  # likewise: that SUMO runs in its own window
+
+
+def check_live(live: str | None) -> bool:
+    """Whether SUMO's own window is wanted.
+
+    Raises:
+        ConfigError: another window.
+        ImportError: there is no sumo-gui of libsumo's version.
+    """
+    if live not in (None, "sumo-gui"):
+        raise ConfigError(f"live must be None or 'sumo-gui', not {live!r}")
+    if live is None:
+        return False
+    found, needed = {}, version("libsumo")
+    for package in ("eclipse-sumo", "traci"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "missing"
+    if set(found.values()) != {needed}:
+        said = ", ".join(f"{package} is {what}" for package, what in found.items())
+        raise ImportError(
+            f"live='sumo-gui' needs eclipse-sumo and traci {needed}, as libsumo has it, but {said}: "
+            f"pip install eclipse-sumo=={needed} traci=={needed} (or, in a clone of this project, pip install '.[gui]')"
+        )
+    return True
 
 
 def check_options(options: Sequence[str], refused: Collection[str] = REFUSED) -> tuple[str, ...]:
@@ -104,7 +132,10 @@ def readable(*paths: Path) -> Iterator[tuple[str, ...]]:
                 )
             opened.append(os.open(path.parent if name else path, os.O_RDONLY))
             # files beside this one can be found as well, unless the name of the file itself is the trouble
-            names.append(str(DESCRIPTORS / str(opened[-1]) / (path.name if name else "")))
+            here = (
+                DESCRIPTORS.parent.resolve() / DESCRIPTORS.name
+            )  # with the number of this process, for others
+            names.append(str(here / str(opened[-1]) / (path.name if name else "")))
         yield tuple(names)
     finally:
         for descriptor in opened:

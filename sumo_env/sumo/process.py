@@ -29,9 +29,9 @@ import numpy as np
 from gymnasium import logger
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo import link
-from sumo_env.sumo.options import check_copyable
+from sumo_env.sumo.options import LIVE, check_copyable
 from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
 
@@ -58,12 +58,18 @@ class SumoProcess:
         simulator: class that is to be run, as ``module:name``; by default the one that a scenario needs.
         options: of SUMO.
         here: whether it may be this process. The choice stands until `close`. Threads may ask at once.
+        live: whether a worker runs SUMO in its own window, until the user closes it. Copies have no window.
     """
 
-    timeout = TIMEOUT  # [s] to wait for an answer of the worker
+    timeout: float | None = TIMEOUT  # [s] to wait for an answer of the worker
 
-    def __init__(self, simulator: str = "", options: tuple[str, ...] = (), here: bool = False) -> None:
+    def __init__(
+        self, simulator: str = "", options: tuple[str, ...] = (), here: bool = False, live: bool = False
+    ) -> None:
         self._name, self._options, self._may_be_here = simulator, options, here
+        self._live = live
+        if live:
+            self.timeout = None  # the user may hold the simulation
         self._host: _Here | _Worker | None = None
         self._running = ""  # class that runs
         self._episode = ""  # for error messages
@@ -83,7 +89,7 @@ class SumoProcess:
         """
         try:
             return self._begin(scenario)
-        except SimulatorDied:  # perhaps between two episodes
+        except (SimulatorDied, WindowClosed):  # perhaps between two episodes
             return self._begin(scenario)
 
     def _begin(self, scenario: Scenario) -> Scene:
@@ -92,10 +98,11 @@ class SumoProcess:
             self._end()
         self._running = name
         if self._host is None:
-            here = self._may_be_here and _Here.take(name, self._options)
-            if self._may_be_here and not here and not self._name:
+            here = self._may_be_here and not self._live and _Here.take(name, self._options)
+            if self._may_be_here and not self._live and not here and not self._name:
                 _warn_of_libsumo()
-            self._adopt(here or _Worker.start(name, self._options))
+            options = (LIVE, *self._options) if self._live else self._options
+            self._adopt(here or _Worker.start(name, options))
         self._calls = []
         self._episode = f"the reset of {scenario.task} (scenario seed {scenario.seed})"
         self._scene = scene = self._ask("reset", scenario)
@@ -104,13 +111,13 @@ class SumoProcess:
         )
         return scene
 
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+    def step(self, commands: Commands, trace: bool = False) -> Step:
         """Drive one policy step.
 
         Raises:
             SimulatorDied: the worker has died, or has not answered in time.
         """
-        step: Step = self._ask("step", command, trace)
+        step: Step = self._ask("step", commands, trace)
         self._scene = step.scene
         return step
 
@@ -136,9 +143,10 @@ class SumoProcess:
         check_copyable(self._options)
         twin = SumoProcess(self._name, self._options)
         if self._episode:
-            if isinstance(self._talk(lambda host: host), _Here) and link.FORKS:
+            forks = link.FORKS and not self._live
+            if isinstance(self._talk(lambda host: host), _Here) and forks:
                 self._move_out()
-            if link.FORKS:
+            if forks:
                 twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
             else:
                 twin._adopt(self._driven_again())
@@ -197,6 +205,10 @@ class SumoProcess:
 
     def _ask(self, command: str, *arguments: Any) -> Any:
         error, value = self._talk(lambda host: host.exchange(command, arguments, self.timeout), command)
+        if isinstance(error, WindowClosed):
+            logger.warn(f"{error}, and the next ones have no window")
+            self._live = False
+            self._end()
         if error is not None:
             raise error
         self._calls.append((command, arguments))
@@ -263,7 +275,7 @@ class _Here:
             cls._taken.release()
             raise
 
-    def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float) -> Any:
+    def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> Any:
         """As of `_Worker`."""
         try:
             return None, getattr(self._simulator, command)(*arguments)
@@ -299,7 +311,7 @@ class _Worker:
         child, ours = link.start(program, [simulator, *options], {**os.environ, **SINGLE_THREAD})
         return cls(child.pid, ours, child)
 
-    def fork(self, timeout: float) -> _Worker:
+    def fork(self, timeout: float | None) -> _Worker:
         """A copy of the process, which serves a socket of its own; SimulatorError if the system has no process left."""
         self._send("fork", (), timeout)
         answer, descriptors, _, _ = socket.recv_fds(self._socket, 4096, 1)
@@ -310,12 +322,12 @@ class _Worker:
             raise SimulatorError(f"the worker process of SUMO cannot be copied now: {error}")
         return _Worker(pid, socket.socket(fileno=descriptors[0]))
 
-    def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float) -> Any:
+    def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> Any:
         """The answer to a request: an exception or None, and a value."""
         self._send(command, arguments, timeout)
         return pickle.load(self._stream)
 
-    def _send(self, command: str, arguments: tuple[Any, ...], timeout: float) -> None:
+    def _send(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> None:
         self._socket.settimeout(timeout)
         self._socket.sendall(pickle.dumps((command, arguments), 5))
 

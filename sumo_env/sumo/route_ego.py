@@ -42,7 +42,7 @@ class RouteEgo:
         self.speed, self.crashed = session.speed_of(name), False
         self.ended, self.red_light = "", False
         self._fuel = self._electricity = 0.0  # in this policy step
-        self._controls = Controls(session, name, (REGULAR, OWN_LANE_CHANGES), False, False)
+        self.controls = Controls(session, name, (REGULAR, OWN_LANE_CHANGES), False, False)
         self._target_speed: float | None = None
         self._acceleration: float | None = None
         self._target_lane: LaneIndex | None = None
@@ -68,14 +68,14 @@ class RouteEgo:
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index
         self.red_light = False
-        self._controls.command(self._target_speed is not None, self._target_lane is not None)
+        self.controls.command(self._target_speed is not None, self._target_lane is not None)
 
     def drive(self, dt: float) -> None:
         """Command the next step of `dt` [s]."""
         session, name, before = self._session, self._name, self.speed
         self._signal = session.next_signal(name)
         if self.crashed:
-            self._controls.command(True, True)
+            self.controls.command(True, True)
             session.set_speed(name, coast(before, dt)[0])
         elif self._target_speed is not None:
             accel, decel, hardest = session.limits_of(name)
@@ -92,7 +92,7 @@ class RouteEgo:
 
     def _change_lane(self) -> None:
         """Ask for the target lane; SUMO changes there within the step, or in the time that its options say."""
-        if self._target_lane is not None and not self._controls.may_change_lane():
+        if self._target_lane is not None and not self.controls.may_change_lane():
             self._target_lane = self._index
         target = self._target_lane
         if target is None or target == self._index or target not in self._sides:

@@ -1,17 +1,15 @@
-"""The session with libsumo: SUMO in its own words, through libsumo's public functions. No other module imports it.
+"""The session with SUMO, in SUMO's own words: through the public functions of libsumo, or of another `Engine`.
 
-libsumo supports one simulation per process, so a process has one `Session` at most. SUMO's coordinates (y up, front
-bumper, degrees clockwise from north) end here: everything above uses highway-env's (y down, centre, radians).
+A process has one `Session` at most. SUMO's coordinates (y up, front bumper, degrees clockwise from north) end here:
+everything above uses highway-env's (y down, centre, radians).
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
 import operator
 import tempfile
 from collections.abc import Iterable, Sequence
-from importlib.util import find_spec
 from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
 from typing import Any
@@ -19,27 +17,11 @@ from typing import Any
 from sumo_env.contacts.rectangles import Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
+from sumo_env.sumo.engine import LIBSUMO, Engine
 from sumo_env.sumo.options import readable
 from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.settings import Settings
 from sumo_env.traffic.drivers import Deviation
-
-try:
-    # without its warning about versions of pyarrow, which SUMO needs for Parquet output alone
-    with contextlib.redirect_stdout(io.StringIO()):
-        import libsumo
-except ImportError as error:
-    reason = (
-        "SUMO is here, but this system cannot load it. It needs about 1 GB of address space (ulimit -v), and on Linux "
-        "libraries that slim containers lack: apt-get install libx11-6 libxext6 libxrender1 libgl1"
-        if find_spec("libsumo")
-        else "SUMO is missing. Install it with 'pip install libsumo==1.28.0' (the wheel brings SUMO along; no "
-        "system-wide SUMO is needed)"
-    )
-    raise ImportError(f"{reason}. Python says: {error}") from error
-
-_vehicle, _simulation = libsumo.vehicle, libsumo.simulation
-SumoErrors = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 # Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
 ALL_CHECKS_OFF = 32  # drive at the commanded speed, whatever is ahead
@@ -57,12 +39,17 @@ LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
 CENTRED = 0.05  # [m] from the middle of a lane
+EGO_COLOUR = (0, 150, 255, 255)
+VIEW, SEEN = "View #0", 100.0  # in SUMO's own window, and how much of the road it shows [m]
 
 
 class Session:
-    """One simulation. `load` first; every method may raise one of `SumoErrors`."""
+    """One simulation. `load` first; every method may raise one of `errors`."""
 
-    def __init__(self) -> None:
+    def __init__(self, engine: Engine = LIBSUMO) -> None:
+        self._engine, self._sumo, self.errors = engine, engine.module, (*engine.errors, *engine.gone)
+        self.gone = engine.gone  # errors that say that the user has closed SUMO's own window
+        self._vehicle, self._simulation = self._sumo.vehicle, self._sumo.simulation
         self.step_length = 0.0  # [s] as SUMO counts time, in whole milliseconds: 0.067 at 15 Hz
         self.has_lights = False  # whether the network has traffic lights
         # length and width [m] of the vehicles on the road that do not have highway-env's size
@@ -79,7 +66,7 @@ class Session:
         self._known.clear()
         self.sizes.clear()
         self._settings = None  # until all is loaded
-        values = dict(settings.options)
+        values = {**self._engine.options, **settings.options}
         with contextlib.ExitStack() as stack:
             (values["net-file"],) = stack.enter_context(readable(Path(values["net-file"])))
             if settings.elements:
@@ -91,15 +78,18 @@ class Session:
                     filter(None, (name, values.get("additional-files", "")))
                 )
             options = [f"--{name}={value}" for name, value in values.items()]
-            if libsumo.isLoaded():
-                libsumo.load(options)
+            if self._sumo.isLoaded():
+                self._sumo.load(options)
             else:
-                libsumo.start(["sumo", *options])
+                self._engine.start([self._engine.program, *options])
+            self._begin, self._steps = float(self._simulation.getTime()), 0  # once all is read
+        if self._sumo.hasGUI():
+            self._sumo.gui.setSchema(VIEW, "real world")
+            self._sumo.gui.setBoundary(VIEW, 0.0, 0.0, SEEN, SEEN)
         self._limits.clear()
-        self._begin, self._steps = float(_simulation.getTime()), 0
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
-        self.has_lights = libsumo.trafficlight.getIDCount() > 0
+        self.has_lights = self._sumo.trafficlight.getIDCount() > 0
 
     def clear(self, settings: Settings) -> bool:
         """Empty the road where these settings are loaded; the rest goes on. False where they are not.
@@ -111,13 +101,13 @@ class Session:
             return False
         self._known.clear()
         self.sizes.clear()
-        for name in _vehicle.getIDList():
-            _vehicle.remove(name)
+        for name in self._vehicle.getIDList():
+            self._vehicle.remove(name)
         return True
 
     def _clock_is_ours(self) -> bool:
         """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
-        return abs(_simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
+        return abs(self._simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
 
     def forget(self) -> None:
         """Load again at the next `load`, whatever is loaded (somebody else may have changed it)."""
@@ -126,8 +116,15 @@ class Session:
     def close(self) -> None:
         """End the simulation."""
         self._settings = None
-        if libsumo.isLoaded():
-            libsumo.close()
+        if self._sumo.isLoaded():
+            with contextlib.suppress(*self.errors):  # SUMO's window may be closed already
+                self._sumo.close()
+
+    def follow(self, name: str) -> None:
+        """In SUMO's own window: a colour for a vehicle, and the view goes with it."""
+        if self._sumo.hasGUI():
+            self._vehicle.setColor(name, EGO_COLOUR)
+            self._sumo.gui.trackVehicle(VIEW, name)
 
     # -- vehicles ------------------------------------------------------------------------------------------
 
@@ -152,23 +149,23 @@ class Session:
             self.sizes.pop(name, None)
         else:
             self.sizes[name] = size
-        _vehicle.add(name, route, vehicle_type, departSpeed="0")
-        _vehicle.moveTo(name, lane, position)
-        _vehicle.setPreviousSpeed(name, speed)
+        self._vehicle.add(name, route, vehicle_type, departSpeed="0")
+        self._vehicle.moveTo(name, lane, position)
+        self._vehicle.setPreviousSpeed(name, speed)
         # SUMO asks every vehicle whose mode was ever set for commands at every step, so the defaults are not set
         if modes[0] != REGULAR:
-            _vehicle.setSpeedMode(name, modes[0])
+            self._vehicle.setSpeedMode(name, modes[0])
         if modes[1] != OWN_LANE_CHANGES:
-            _vehicle.setLaneChangeMode(name, modes[1])
+            self._vehicle.setLaneChangeMode(name, modes[1])
         limit = self._limits.get(lane)
         if limit is None:
-            limit = self._limits[lane] = libsumo.lane.getMaxSpeed(lane)
+            limit = self._limits[lane] = self._sumo.lane.getMaxSpeed(lane)
         # a factor on the lane's limit: unlike setMaxSpeed it does not copy the vehicle's type
-        _vehicle.setSpeedFactor(name, max(desired_speed, 0.01) / limit)
+        self._vehicle.setSpeedFactor(name, max(desired_speed, 0.01) / limit)
 
     def remove(self, name: str) -> None:
         """Take a vehicle off the road."""
-        _vehicle.remove(name)
+        self._vehicle.remove(name)
 
     def send(self, name: str, edges: Sequence[str], is_trip: bool, vehicle_type: str, speed: str) -> bool:
         """Let SUMO insert a vehicle as soon as it can; False where there is no route.
@@ -176,21 +173,19 @@ class Session:
         It draws none of SUMO's random numbers, so that the others come as without it: its speed factor is the mean.
 
         Args:
-            name: of the vehicle.
-            edges: of its route; of a trip the first and the last one, between which SUMO finds the fastest route.
-            is_trip: whether it is a trip.
-            vehicle_type: of which it gets a copy.
+            name, edges: of its route; of a trip the first and the last one, between which SUMO finds the fastest route.
+            is_trip, vehicle_type: whether it is a trip; the type of which it gets a copy.
             speed: at the departure [m/s], or SUMO's word for one.
         """
         route, own_type = f"route of {name}", f"{vehicle_type} of {name}"
-        libsumo.vehicletype.copy(vehicle_type, own_type)
-        libsumo.vehicletype.setSpeedDeviation(own_type, 0.0)
+        self._sumo.vehicletype.copy(vehicle_type, own_type)
+        self._sumo.vehicletype.setSpeedDeviation(own_type, 0.0)
         if is_trip:
-            edges = _simulation.findRoute(edges[0], edges[-1], own_type).edges
+            edges = self._simulation.findRoute(edges[0], edges[-1], own_type).edges
             if not edges:
                 return False
-        libsumo.route.add(route, edges)
-        _vehicle.add(name, route, own_type, departLane="best", departPos="base", departSpeed=speed)
+        self._sumo.route.add(route, edges)
+        self._vehicle.add(name, route, own_type, departLane="best", departPos="base", departSpeed=speed)
         return True
 
     def deviate(self, name: str, deviation: Deviation) -> None:
@@ -204,133 +199,137 @@ class Session:
             ("MinGap", deviation.min_gap),
         ):
             if factor != 1.0:  # each setter copies the vehicle's type
-                getattr(_vehicle, f"set{key}")(name, factor * getattr(_vehicle, f"get{key}")(name))
+                getattr(self._vehicle, f"set{key}")(name, factor * getattr(self._vehicle, f"get{key}")(name))
         for key, factor in (("lcAssertive", deviation.assertive), ("lcSpeedGain", deviation.speed_gain)):
             parameter = f"laneChangeModel.{key}"
-            with contextlib.suppress(libsumo.TraCIException, ValueError):  # models of lane changes without it
-                present = float(_vehicle.getParameter(name, parameter))
-                _vehicle.setParameter(name, parameter, f"{factor * present:.6g}")
+            # there are models of lane changes without it
+            with contextlib.suppress(self._sumo.TraCIException, ValueError):
+                present = float(self._vehicle.getParameter(name, parameter))
+                self._vehicle.setParameter(name, parameter, f"{factor * present:.6g}")
         if not deviation.gives_way:
-            _vehicle.setSpeedMode(name, NO_RULES)
+            self._vehicle.setSpeedMode(name, NO_RULES)
 
     def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo by its name, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
-        return plain(operator.attrgetter(path)(libsumo)(*arguments, **named))
+        return plain(operator.attrgetter(path)(self._sumo)(*arguments, **named))
 
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""
-        _vehicle.setSpeed(name, speed)
+        self._vehicle.setSpeed(name, speed)
 
     def set_modes(
         self, name: str, speed_mode: int | None = None, lane_change_mode: int | None = None
     ) -> None:
         """Which checks apply to commands, and whether the lane-change model decides: the constants of this module."""
         if speed_mode is not None:
-            _vehicle.setSpeedMode(name, speed_mode)
+            self._vehicle.setSpeedMode(name, speed_mode)
         if lane_change_mode is not None:
-            _vehicle.setLaneChangeMode(name, lane_change_mode)
+            self._vehicle.setLaneChangeMode(name, lane_change_mode)
 
     def change_lane(self, name: str, index: int) -> None:
         """Begin a change to the lane of this SUMO index (0 is the rightmost)."""
-        _vehicle.changeLane(name, index, 0.0)
+        self._vehicle.changeLane(name, index, 0.0)
 
     def change_lane_relative(self, name: str, step: int) -> None:
         """Begin a change by `step` lanes, +1 to the left; also onto the opposite lane of a two-way road."""
-        _vehicle.changeLaneRelative(name, step, 0.0)
+        self._vehicle.changeLaneRelative(name, step, 0.0)
 
     # -- reading -------------------------------------------------------------------------------------------
 
     def lane_of(self, name: str) -> str:
         """Id of the lane that the front bumper is on; ids of lanes inside junctions begin with a colon."""
-        lane: str = _vehicle.getLaneID(name)
+        lane: str = self._vehicle.getLaneID(name)
         return lane
 
     def spot(self, name: str) -> Spot:
         """The place of a vehicle on the network."""
-        height = float(_vehicle.getPosition3D(name)[2])
-        return Spot(_vehicle.getLaneID(name), float(_vehicle.getLanePosition(name)), height)
+        height = float(self._vehicle.getPosition3D(name)[2])
+        return Spot(self._vehicle.getLaneID(name), float(self._vehicle.getLanePosition(name)), height)
 
     def changes_lane(self, name: str) -> bool:
         """Whether a lane change of a vehicle is running: it is not in the middle of its lane."""
-        return abs(float(_vehicle.getLateralLanePosition(name))) >= CENTRED
+        return abs(float(self._vehicle.getLateralLanePosition(name))) >= CENTRED
 
     def speed_of(self, name: str) -> float:
         """Speed of a vehicle [m/s]."""
-        return float(_vehicle.getSpeed(name))
+        return float(self._vehicle.getSpeed(name))
 
     def limits_of(self, name: str) -> tuple[float, float, float]:
         """What a vehicle can do: acceleration, braking, hardest braking [m/s2]."""
-        return _vehicle.getAccel(name), _vehicle.getDecel(name), _vehicle.getEmergencyDecel(name)
+        of = self._vehicle
+        return of.getAccel(name), of.getDecel(name), of.getEmergencyDecel(name)
 
     def class_of(self, name: str) -> str:
         """SUMO's class of a vehicle, such as passenger."""
-        return str(_vehicle.getVehicleClass(name))
+        return str(self._vehicle.getVehicleClass(name))
 
     def type_of(self, name: str) -> str:
         """The vehicle type that a vehicle came with."""
-        return str(_vehicle.getTypeID(name)).partition("@")[0]
+        return str(self._vehicle.getTypeID(name)).partition("@")[0]
 
     def position_of(self, name: str) -> float:
         """Position of the front bumper on its lane [m]."""
-        return float(_vehicle.getLanePosition(name))
+        return float(self._vehicle.getLanePosition(name))
 
     def route_ahead(self, name: str) -> tuple[str, ...]:
         """Edges that are left of a vehicle's route, the present one first."""
-        return tuple(_vehicle.getRoute(name)[max(_vehicle.getRouteIndex(name), 0) :])
+        return tuple(self._vehicle.getRoute(name)[max(self._vehicle.getRouteIndex(name), 0) :])
 
     def lanes_ahead(self, name: str) -> list[tuple[str, float, bool]]:
         """Lanes of a vehicle's edge from SUMO's lane 0 on: id, length [m], whether its route goes on from there."""
-        best = _vehicle.getBestLanes(name)
-        return [(lane, float(libsumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best]
+        best = self._vehicle.getBestLanes(name)
+        return [
+            (lane, float(self._sumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best
+        ]
 
     def may_change(self, lane: str, beside: str, vehicles: str) -> bool:
         """Whether a class of vehicles may change between two lanes that lie side by side."""
         side = 1 if int(beside.rpartition("_")[2]) > int(lane.rpartition("_")[2]) else -1
-        allowed = libsumo.lane.getAllowed(beside)
-        return (not allowed or vehicles in allowed) and vehicles in libsumo.lane.getChangePermissions(
+        allowed = self._sumo.lane.getAllowed(beside)
+        return (not allowed or vehicles in allowed) and vehicles in self._sumo.lane.getChangePermissions(
             lane, side
         )
 
     def next_signal(self, name: str) -> tuple[str, int, float] | None:
         """The next traffic light on a vehicle's way: its id, the number of the connection, distance [m]."""
-        ahead = _vehicle.getNextTLS(name) if self.has_lights else ()
+        ahead = self._vehicle.getNextTLS(name) if self.has_lights else ()
         return (str(ahead[0][0]), int(ahead[0][1]), float(ahead[0][2])) if ahead else None
 
     def shows_red(self, signal: str, connection: int) -> bool:
         """Whether a traffic light forbids to drive; the sign that lets vehicles turn after a stop does not."""
-        return libsumo.trafficlight.getRedYellowGreenState(signal)[connection] in "ru"
+        return self._sumo.trafficlight.getRedYellowGreenState(signal)[connection] in "ru"
 
     def departed(self) -> tuple[str, ...]:
         """Vehicles that SUMO has inserted in the last step."""
-        return tuple(_simulation.getDepartedIDList())
+        return tuple(self._simulation.getDepartedIDList())
 
     def teleported(self) -> tuple[str, ...]:
         """Vehicles that SUMO has taken off the road in the last step, to put them on it further on."""
-        return tuple(_simulation.getStartingTeleportIDList())
+        return tuple(self._simulation.getStartingTeleportIDList())
 
     def waiting(self) -> tuple[str, ...]:
         """Vehicles that wait until SUMO can insert them."""
-        return tuple(_simulation.getPendingVehicles())
+        return tuple(self._simulation.getPendingVehicles())
 
     def time(self) -> float:
         """SUMO's time [s]."""
-        return float(_simulation.getTime())
+        return float(self._simulation.getTime())
 
     def next_light(self, name: str) -> Light:
         """The next traffic light on a vehicle's way."""
-        for signal, _, distance, letter in _vehicle.getNextTLS(name) if self.has_lights else ():
+        for signal, _, distance, letter in self._vehicle.getNextTLS(name) if self.has_lights else ():
             if letter in LIGHTS:
-                left = libsumo.trafficlight.getNextSwitch(signal) - _simulation.getTime()
+                left = self._sumo.trafficlight.getNextSwitch(signal) - self._simulation.getTime()
                 return Light(LIGHTS[letter], float(distance), max(float(left), 0.0))
         return NO_LIGHT
 
     def consumption_of(self, name: str) -> tuple[float, float]:
         """Fuel [mg/s] and electricity [Wh/s] that a vehicle consumed in the last step."""
-        return _vehicle.getFuelConsumption(name), _vehicle.getElectricityConsumption(name)
+        return self._vehicle.getFuelConsumption(name), self._vehicle.getElectricityConsumption(name)
 
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""
-        names = _vehicle.getIDList()
+        names = self._vehicle.getIDList()
         if self.changed or len(names) != len(self._known):
             self._meet(set(names))
         return names
@@ -338,7 +337,7 @@ class Session:
     def _meet(self, present: set[str]) -> None:
         """Ask for the sizes of vehicles that somebody else has added, and forget those that have left."""
         for name in present - self._known:
-            size = float(_vehicle.getLength(name)), float(_vehicle.getWidth(name))
+            size = float(self._vehicle.getLength(name)), float(self._vehicle.getWidth(name))
             if size != CAR_SIZE:
                 self.sizes[name] = size
         for name in self._known - present:
@@ -348,11 +347,11 @@ class Session:
     def check(self) -> None:
         """An error if somebody else has moved SUMO's clock."""
         if not self._clock_is_ours():
-            raise libsumo.TraCIException("SUMO's time is not where this environment has left it")
+            raise self._sumo.TraCIException("SUMO's time is not where this environment has left it")
 
     def read(self, names: Iterable[str]) -> dict[str, State]:
         """States of these vehicles, in this order."""
-        position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
+        position, angle, speed = self._vehicle.getPosition, self._vehicle.getAngle, self._vehicle.getSpeed
         if not self.sizes:
             return {name: _state(position(name), angle(name), speed(name)) for name in names}
         return {name: _state(position(name), angle(name), speed(name), self.half(name)) for name in names}
@@ -375,7 +374,7 @@ class Session:
 
         Distances are those of the front bumpers.
         """
-        position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
+        position, angle, speed = self._vehicle.getPosition, self._vehicle.getAngle, self._vehicle.getSpeed
         own = position(name)
         x, y = own
         near, rest, sizes, reach = {}, [], self.sizes, radius * radius
@@ -394,11 +393,11 @@ class Session:
 
     def step(self) -> Sequence[tuple[str, str]]:
         """Advance by one step; returns the pairs of vehicles that SUMO reports in collision."""
-        libsumo.simulationStep()
+        self._sumo.simulationStep()
         self._steps += 1
-        self.arrived = _simulation.getArrivedIDList()
-        self.changed = bool(self.arrived or _simulation.getDepartedNumber())
-        found = _simulation.getCollisions()
+        self.arrived = self._simulation.getArrivedIDList()
+        self.changed = bool(self.arrived or self._simulation.getDepartedNumber())
+        found = self._simulation.getCollisions()
         return [(contact.collider, contact.victim) for contact in found] if found else ()
 
 
@@ -408,8 +407,3 @@ def _state(front: tuple[float, float], angle: float, speed: float, half: float =
     if heading > pi:
         heading -= 2.0 * pi
     return front[0] - half * cos(heading), -front[1] - half * sin(heading), speed, heading
-
-
-def version() -> str:
-    """SUMO's version, such as ``SUMO 1.28.0``."""
-    return str(libsumo.getVersion()[1])

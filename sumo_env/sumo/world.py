@@ -1,38 +1,32 @@
 """An episode in SUMO: a scenario in, then one `Step` after every policy step.
 
-SUMO drives the traffic. In every sub-step only the ego, crashed vehicles and vehicles in a risk event are commanded;
-then SUMO steps, and what is near the ego is read for contacts and time to collision. All vehicles are read once per
-policy step.
+SUMO drives the traffic. In every sub-step only learning cars, crashed vehicles and vehicles in a risk event are
+commanded; then SUMO steps, and what is near a learning car is read for contacts and time to collision. All vehicles are
+read once per policy step.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from math import inf
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
-from sumo_env.contacts.crash import CrashDetector, is_confirmed
-from sumo_env.contacts.measures import HORIZON
+from sumo_env.contacts.crash import CrashRecord, is_confirmed
+from sumo_env.contacts.rectangles import State
 from sumo_env.networks.files import is_file
-from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.scene import NO_LIGHT, Scene
+from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
+from sumo_env.sumo.car import Car
 from sumo_env.sumo.ego import Ego, coast
+from sumo_env.sumo.engine import LIBSUMO, window
 from sumo_env.sumo.events import Events, modes
-from sumo_env.sumo.options import check_options
-from sumo_env.sumo.route_ego import RouteEgo
-from sumo_env.sumo.session import (
-    ALL_CHECKS_OFF,
-    COMMANDED_LANE_CHANGES,
-    Session,
-    SumoErrors,
-)
+from sumo_env.sumo.options import LIVE, check_options
+from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
 from sumo_env.sumo.settings import Settings, placed_settings
-from sumo_env.sumo.surroundings import Surroundings
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
@@ -45,14 +39,12 @@ class SumoSimulator:
     """SUMO as a `Simulator`; a process may hold one of them (`SumoProcess` cares for that).
 
     Args:
-        options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``.
+        options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``; `LIVE` for its own window.
     """
 
-    _name = EGO  # of the ego
-
     def __init__(self, options: tuple[str, ...] = ()) -> None:
-        self._session = Session()
-        self._options = check_options(options)
+        self._session = Session(window() if LIVE in options else LIBSUMO)
+        self._options = check_options([option for option in options if option != LIVE])
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._kept: dict[str, Driver] = {}  # those of them that stay loaded
         self._pools: tuple[DriverPool, ...] = ()  # of the episode before
@@ -65,26 +57,35 @@ class SumoSimulator:
         """Place a scenario, drive its warm-up, and return the first scene."""
         for _ in range(2):  # SUMO may have been closed, or loaded with something else, behind our back
             try:
-                return self._begin(scenario)
-            except SumoErrors as error:
+                scene = self._begin(scenario)
+                self._session.follow(scene.ids[0])
+                return scene
+            except self._session.errors as error:
                 self._session.forget()
+                self._check_window(error)
                 refusal = error
         raise SimulatorError(
             f"SUMO cannot begin this episode ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it says "
             f"is above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
         ) from refusal
 
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+    def step(self, commands: Commands, trace: bool = False) -> Step:
         """Drive one policy step."""
         try:
-            return self._step(command, trace)
-        except SumoErrors as error:
+            return self._step(commands, trace)
+        except self._session.errors as error:
             self._session.forget()
+            self._check_window(error)
             raise SimulatorError(
                 f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "
                 f"{self._time:.1f} s): {_words(error)} Was libsumo called from elsewhere in this process? "
                 "Call reset() to begin another episode."
             ) from error
+
+    def _check_window(self, error: Exception) -> None:
+        """An error if SUMO's window is gone."""
+        if isinstance(error, self._session.gone):
+            raise WindowClosed("SUMO's window was closed: this episode ends") from error
 
     def imagine(self, scenario: Scenario) -> None:
         """Go on with the risk events of this scenario that have not begun."""
@@ -119,14 +120,16 @@ class SumoSimulator:
         elif not self._session.clear(settings):
             self._session.load(settings)
         self._modes: dict[str, tuple[int, int]] = {}  # vehicles on the road, with SUMO's modes
-        self._crashed: dict[str, float] = {}  # crashed vehicles but the ego -> speed [m/s]
+        self._crashed: dict[str, float] = {}  # crashed vehicles but learning cars -> speed [m/s]
+        self._cars: dict[str, Car[Ego]] = {}  # the learning cars on the road
         self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
-        self._detector = CrashDetector()
         self._steps_done = 0
         self._drive_warm_up()
-        self._ego = Ego(self._session, scenario, self._network)
-        self._place(scenario.ego)
-        self._around = Surroundings(self._session, scenario.ego.speed, self._network.meeting)
+        for spec in scenario.cars:
+            self._place(spec)
+        for spec in scenario.cars:
+            ego = Ego(self._session, scenario, self._network, spec)
+            self._cars[spec.id] = Car(self._session, spec.id, ego, self._network.meeting)
         return self._read()
 
     def _settings(self, scenario: Scenario) -> Settings:
@@ -160,21 +163,21 @@ class SumoSimulator:
         return self._loaded
 
     def _place(self, spec: VehicleSpec) -> None:
-        """Put a vehicle on the road; SUMO drives all but the ego."""
+        """Put a vehicle on the road; SUMO drives all but learning cars."""
         size = spec.driver.size
         route, lane, position = self._network.place(spec.lane, spec.s, spec.destination, size[0] / 2.0)
         limit = self._network.road.lane(spec.lane).speed_limit
         own, desired = (ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES), limit
-        if spec.id != EGO:
+        if spec.id != EGO and spec.id not in self._scenario.further:
             own, desired = modes(spec, self._scenario.calibration), min(spec.target_speed, limit)
         self._session.add(spec.id, route, spec.driver.type, lane, position, spec.speed, desired, own, size)
         self._modes[spec.id] = own
 
     def _drive_warm_up(self) -> None:
-        """Let the traffic drive before the ego comes, then make room for it (IntersectionEnv._make_vehicles)."""
+        """Let the traffic drive before learning cars come, then make room (IntersectionEnv._make_vehicles)."""
         scenario = self._scenario
         for spec in scenario.vehicles:
-            if spec.concerns_ego:
+            if spec.concerns_ego and spec.id not in scenario.further:
                 self._place(spec)
         self._time = 0.0 - scenario.warm_up
         if not scenario.warm_up:
@@ -184,42 +187,56 @@ class SumoSimulator:
         self._time = 0.0
         self._let_in()
         for name, state in self._session.read(self._modes).items():
-            if math.hypot(state[0] - scenario.ego.x, state[1] - scenario.ego.y) < EGO_DISTANCE:
+            if any(math.hypot(state[0] - car.x, state[1] - car.y) < EGO_DISTANCE for car in scenario.cars):
                 self._remove(name)
 
     # -- a policy step -------------------------------------------------------------------------------------
 
-    def _step(self, command: EgoCommand, trace: bool) -> Step:
+    def _step(self, commands: Commands, trace: bool) -> Step:
         if self._steps_done:
-            self._let_out()
+            self._let_out(commands)
             self._let_in()
         self._steps_done += 1
         self._session.check()
-        ego, around = self._ego, self._around
-        ego.obey(command)
-        around.take_stock()
-        least_ttc, distance, scenes = inf, 0.0, []
+        self._obey(commands)
+        scenes, cars = [], self._cars.values()  # a view: a car may leave the road in between
         for _ in range(self._substeps):
             self._events.act(self._time, self._dt)
-            x, y, _, _ = around.ego
-            distance += ego.drive(x, y, self._dt)
+            for car in cars:
+                x, y, _, _ = car.around.ego
+                car.distance += car.ego.drive(x, y, self._dt)
             reported = self._advance()
-            distance += ego.settle()
-            self._look(ego, reported)
-            if not ego.crashed and around.near:
-                least_ttc = min(least_ttc, around.time_to_collision(min(least_ttc, HORIZON)))
+            for car in cars:
+                car.distance += car.ego.settle()
+                if (crash := car.look(self._time, self._dt, reported)) is not None:
+                    self._hit(car, crash)
+            if reported:
+                self._note_crashes(reported)
             if trace:
                 scenes.append(self._read())
         scene = scenes[-1] if trace else self._read()
-        return Step(scene, ego.target_lane, self._detector.crash, least_ttc, distance, tuple(scenes))
+        return Step(scene, {name: car.met() for name, car in self._cars.items()}, tuple(scenes))
+
+    def _obey(self, commands: Commands) -> None:
+        """Begin a policy step of the learning cars: who has no command is SUMO's."""
+        for name, command in commands.items():
+            if name not in self._cars:
+                raise SimulatorError(
+                    f"the learning car {name!r} is not on the road ({', '.join(self._cars) or 'no car is'}): was it "
+                    "removed through libsumo? Call reset() to begin another episode."
+                )
+            if command is None:
+                self._remove(name)
+        for name, car in self._cars.items():
+            car.obey(commands.get(name))
 
     def _advance(self) -> Sequence[tuple[str, str]]:
         """One step of SUMO; returns the pairs of vehicles of the scenario that it reports in collision."""
         reported = self._step_sumo()
         for name in self._session.arrived:
-            if name == EGO:
+            if name in self._cars and self._cars[name].is_commanded:
                 raise SimulatorError(
-                    f"the ego has driven off the end of the road ({self._scenario.task}, {self._time:.1f} s): "
+                    f"the car {name!r} has driven off the end of the road ({self._scenario.task}, {self._time:.1f} s): "
                     "choose a shorter 'duration', or call reset() to begin another episode"
                 )
             self._forget(name)
@@ -234,42 +251,25 @@ class SumoSimulator:
         self._time += self._dt
         return self._session.step()
 
-    def _look(self, ego: Ego | RouteEgo, reported: Sequence[tuple[str, str]]) -> None:
-        """After a sub-step: who is near the ego, and who has crashed."""
-        around, detector, own = self._around, self._detector, self._name
-        seen, before = around.ego, around.near
-        around.look(self._time, ego.speed)
-        partners: Collection[str] = ()  # whom SUMO reports in collision with the ego
-        if reported:
-            partners = {one if other == own else other for one, other in reported if own in (one, other)}
-        ids = around.within_reach(seen, before, self._dt, partners)
-        if ids or reported or detector.reported:
-            crash = detector.look(
-                self._time,
-                self._dt,
-                (own, *ids),
-                (seen, *[before[name] for name in ids]),
-                (around.ego, *[around.near[name] for name in ids]),
-                partners,
-                self._session.halves((own, *ids)),
-            )
-            if crash is not None and not ego.crashed:
-                ego.crashed = True
-                self._crash(crash.other)
-        if reported:
-            self._note_crashes(reported)
+    def _hit(self, car: Car[Any], crash: CrashRecord) -> None:
+        """A learning car has crashed, and the other vehicle too."""
+        if crash.other in self._cars:
+            self._cars[crash.other].be_hit(car, crash)
+        else:
+            self._crash(crash.other)
 
     def _note_crashes(self, reported: Sequence[tuple[str, str]]) -> None:
-        """Crashes of the other traffic are those that SUMO reports; the ego's first one is the detector's."""
+        """Crashes of the other traffic are those that SUMO reports; the first one of a learning car is its own."""
+        cars = self._cars
         for pair in reported:
-            if EGO in pair and self._detector.crash is None:
+            if not all(cars[name].ego.crashed for name in pair if name in cars):
                 continue
-            if all(name == EGO or name in self._crashed for name in pair):
+            if all(name in cars or name in self._crashed for name in pair):
                 continue
             states = self._session.read(pair)
             if is_confirmed(states[pair[0]], states[pair[1]], *self._session.halves(pair)):
                 for name in pair:
-                    if name != EGO:
+                    if name not in cars:
                         self._crash(name)
 
     def _crash(self, name: str) -> None:
@@ -280,15 +280,15 @@ class SumoSimulator:
 
     # -- vehicles that come and go (intersection) ----------------------------------------------------------
 
-    def _let_out(self) -> None:
-        """Remove vehicles near the end of an exit, and those that a user of libsumo has removed."""
+    def _let_out(self, commands: Commands) -> None:
+        """Remove vehicles without a command near the end of an exit, and those that a user of libsumo has removed."""
         present = self._session.vehicles()
         if len(present) != len(self._modes):
             for name in set(self._modes).difference(present):
                 self._forget(name)
         if not self._network.road.clears_exits:
             return
-        for name, state in self._session.read(n for n in self._modes if n != EGO).items():
+        for name, state in self._session.read(n for n in self._modes if n not in commands).items():
             start, end, place = self._network.indices[self._session.lane_of(name)]
             lane = self._network.road.lane((start, end, place))
             if (
@@ -312,29 +312,40 @@ class SumoSimulator:
         self._forget(name)
 
     def _forget(self, name: str) -> None:
-        self._modes.pop(name, None)
-        self._crashed.pop(name, None)
+        for known in (self._modes, self._crashed, self._cars):
+            known.pop(name, None)
 
     # -- reading -------------------------------------------------------------------------------------------
 
     def _read(self) -> Scene:
-        """The scene by SUMO's vehicles, the ego first."""
-        ids = (EGO, *[name for name in self._modes if name != EGO])
+        """The scene by SUMO's vehicles, the learning cars first."""
+        cars = self._cars
+        ids = (*cars, *[name for name in self._modes if name not in cars])
         present = self._session.vehicles()
         if len(present) > len(ids):  # somebody else has added vehicles
             ids += tuple(name for name in present if name not in self._modes)
-        states = {EGO: self._around.ego, **self._around.near}
+        states: dict[str, State] = {}
+        for car in cars.values():
+            states |= car.around.near
+        lights = []
+        for name, car in cars.items():
+            states[name] = car.around.ego
+            lights.append(self._session.next_light(name))
         states |= self._session.read([name for name in ids if name not in states])
         x, y, speed, heading = map(np.array, zip(*[states[name] for name in ids], strict=True))
         crashed = np.zeros(len(ids), np.bool_)
-        crashed[0] = self._ego.crashed
+        for row, car in enumerate(cars.values()):
+            crashed[row] = car.ego.crashed
         if self._crashed:
             for row, name in enumerate(ids):
                 if name in self._crashed:  # a commanded speed, as the ego's
                     crashed[row], speed[row] = True, self._crashed[name]
         sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
-        time, acting, light = round(self._time, 6), self._events.acting, self._session.next_light(EGO)
-        return Scene(ids, x, y, speed, heading, crashed, time, acting, sizes, light)
+        return Scene(
+            *(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting, sizes),
+            *(lights[0] if lights else NO_LIGHT, None, len(cars)),
+            {name: (light, None) for name, light in zip(cars, lights, strict=True) if name != ids[0]},
+        )
 
 
 def _leaves_traces(scenario: Scenario) -> bool:

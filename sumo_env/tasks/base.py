@@ -26,7 +26,7 @@ from sumo_env.traffic.drivers import (
     RiskRanges,
 )
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
-from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec
+from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id
 
 TARGET_SPEEDS = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
 
@@ -81,6 +81,11 @@ class Task:
     risk_rates: ClassVar[RiskRates] = RiskRates()
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
     target_speeds: tuple[float, ...] = TARGET_SPEEDS
+    # where further learning cars start, each with the ego's speed and destination: lane, s [m]
+    start_places: ClassVar[tuple[tuple[LaneIndex, float], ...]] = ()
+    shares_reward: ClassVar[bool] = (
+        False  # whether highway-env looks at all learning cars, not at the first alone
+    )
 
     def __deepcopy__(self, memo: dict[int, object]) -> Task:
         return self  # immutable
@@ -106,6 +111,31 @@ class Task:
     ) -> list[VehicleSpec]:
         """The other vehicles at the start."""
         raise NotImplementedError
+
+    def with_cars(
+        self,
+        config: Config,
+        road: Road,
+        ego: VehicleSpec,
+        vehicles: list[VehicleSpec],
+        count: int,
+        rng: np.random.Generator,
+    ) -> list[VehicleSpec]:
+        """The other vehicles, with all but the first of `count` learning cars among them (`car_id`)."""
+        if count > 1 + len(self.start_places):
+            raise ConfigError(
+                f"'controlled_vehicles' of {self.name!r} is at most {1 + len(self.start_places)}, not {count}: "
+                "the task has no further places where learning cars start (start_places)"
+            )
+        cars = [
+            make_on_lane(
+                *(road, car_id(number), lane, s, ego.speed, ego.driver),
+                destination=ego.destination,
+                target_speed=ego.target_speed,
+            )
+            for number, (lane, s) in enumerate(self.start_places[: count - 1], 1)
+        ]
+        return [*vehicles, *cars]
 
     def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
         """Vehicles that are added later, or at the end of the warm-up (intersection only)."""
@@ -155,7 +185,8 @@ class Task:
 
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
         """The scenario with the events that have begun `now` [s] after its start, and others from then on."""
-        drawn = self.events({**config, "risk": scenario.risk}, scenario.vehicles, scenario.spawns, seed)
+        others = [spec for spec in scenario.vehicles if spec.id not in scenario.further]
+        drawn = self.events({**config, "risk": scenario.risk}, others, scenario.spawns, seed)
         begun = [event for event in scenario.events if event.time <= now]
         return replace(scenario, events=(*begun, *(event for event in drawn if event.time > now)))
 
@@ -186,8 +217,12 @@ class Task:
         rng = stream(seed, "scenario")
         drivers = Drivers(self, config, seed)
         ego = self.ego(config, road, rng)
-        vehicles = tuple(self.vehicles(config, road, ego, rng, drivers))
+        vehicles = self.vehicles(config, road, ego, rng, drivers)
         spawns = tuple(self.spawns(config, road, seed, drivers))
+        events = self.events(config, vehicles, spawns, seed)
+        cars = cars_count(config)
+        if cars > 1:
+            vehicles = self.with_cars(config, road, ego, vehicles, cars, rng)
         ids = [ego.id, *(spec.id for spec in vehicles), *(spawn.vehicle.id for spawn in spawns)]
         if len(set(ids)) < len(ids):
             twice = next(id for id in ids if ids.count(id) > 1)
@@ -197,9 +232,9 @@ class Task:
             seed=seed,
             risk=config["risk"],
             ego=ego,
-            vehicles=vehicles,
+            vehicles=tuple(vehicles),
             spawns=spawns,
-            events=self.events(config, vehicles, spawns, seed),
+            events=events,
             simulation_frequency=self.frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             warm_up=self.warm_up,
@@ -209,6 +244,7 @@ class Task:
             pools=self.pools(config["risk"]),
             calibration=self.calibration,
             obeys_lights=bool(config.get("obey_traffic_lights", False)),
+            further=tuple(car_id(number) for number in range(1, cars)),
         )
 
 
@@ -230,6 +266,11 @@ class Drivers:
         if not self._drawn:  # drawn in blocks, which gives the same numbers as one at a time
             self._drawn = self._rng.integers(POOL, size=64).tolist()[::-1]
         return pool[self._drawn.pop()]
+
+
+def cars_count(config: Config) -> int:
+    """Number of learning cars."""
+    return int(config.get("controlled_vehicles", 1))
 
 
 def ego_driver(task: Task) -> Driver:

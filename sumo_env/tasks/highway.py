@@ -12,7 +12,7 @@ from sumo_env.scene import MAX_SPEED, PERCEPTION_DISTANCE, Floats
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
-from sumo_env.traffic.scenario import EGO, VehicleSpec
+from sumo_env.traffic.scenario import EGO, VehicleSpec, car_id
 
 # ``HighwayEnvFast.default_config``, of highway-fast-v0
 FAST: Config = {
@@ -77,6 +77,15 @@ class Highway(Task):
         jitter = rng.uniform(0.9, 1.1, size=count)
         gaps = _spacing(speeds, 1.0 / config["vehicles_density"], config) * jitter
         places = np.cumsum(np.append(ego.s, gaps))[1:]
+        reach = ego.s + self._reach(config)
+        vehicles = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)
+        return [
+            make_on_lane(road, f"v{k}", ("0", "1", lane), s, speed, drivers.next(), concerns_ego=s <= reach)
+            for k, (lane, s, speed) in enumerate(vehicles)
+        ]
+
+    def _reach(self, config: Config) -> float:
+        """How far ahead of a learning car vehicles concern it [m]."""
         # Even at full speed the ego gets no closer than 400 m to a crashed vehicle further ahead. Leaving such vehicles
         # out changed what the ego sees by less than 2e-5 in 80 episodes; at 200 m, where LC2013 looks further ahead
         # than the ego sees, by more than 1e-4 in every fifth (docs/developers/decisions.md).
@@ -84,12 +93,30 @@ class Highway(Task):
         fastest = max(action.get("target_speeds") or self.target_speeds)
         if action["type"] != "DiscreteMetaAction" or action.get("longitudinal") == "sumo":
             fastest = max(fastest, *(action.get("speed_range") or (MAX_SPEED,)))
-        reach = ego.s + fastest * config["duration"] + 2 * PERCEPTION_DISTANCE
-        vehicles = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)
-        return [
-            make_on_lane(road, f"v{k}", ("0", "1", lane), s, speed, drivers.next(), concerns_ego=s <= reach)
-            for k, (lane, s, speed) in enumerate(vehicles)
-        ]
+        return float(fastest * config["duration"] + 2 * PERCEPTION_DISTANCE)
+
+    def with_cars(
+        self,
+        config: Config,
+        road: Road,
+        ego: VehicleSpec,
+        vehicles: list[VehicleSpec],
+        count: int,
+        rng: np.random.Generator,
+    ) -> list[VehicleSpec]:
+        # ``HighwayEnv._create_vehicles``: ahead of each learning car an even share of the others, then the next one
+        placed, last, shift, done = [], ego, 0.0, 0
+        spacing = float(_spacing(np.array(25.0), config["ego_spacing"], config))
+        for number, share in enumerate(near_split(len(vehicles), count)):
+            if number:
+                shift += spacing * rng.uniform(0.9, 1.1)
+                s = (vehicles[done - 1] if done else ego).s + shift
+                last = make_on_lane(road, car_id(number), first_lane(config, rng), s, 25.0, ego.driver)
+                placed.append(last)
+            placed += [_moved(road, spec, shift) for spec in vehicles[done : done + share]]
+            done += share
+        reach = last.s + self._reach(config)
+        return [spec._replace(concerns_ego=spec.s <= reach) for spec in placed]
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         forward = ego.speed * math.cos(ego.heading)
@@ -110,6 +137,17 @@ def first_lane(config: Config, rng: np.random.Generator) -> LaneIndex:
     if lane is not None and lane not in range(int(config["lanes_count"])):
         raise ConfigError(f"'initial_lane_id' must be None or a lane below 'lanes_count', not {lane!r}")
     return "0", "1", int(rng.integers(config["lanes_count"])) if lane is None else int(lane)
+
+
+def near_split(count: int, parts: int) -> list[int]:
+    """A number in almost equal parts, the larger ones first (``highway_env.utils.near_split``)."""
+    share, rest = divmod(count, parts)
+    return [share + (part < rest) for part in range(parts)]
+
+
+def _moved(road: Road, spec: VehicleSpec, by: float) -> VehicleSpec:
+    """A vehicle that starts further ahead [m]."""
+    return make_on_lane(road, spec.id, spec.lane, spec.s + by, spec.speed, spec.driver) if by else spec
 
 
 def _spacing(speed: Floats, spacing: float, config: Config) -> Floats:

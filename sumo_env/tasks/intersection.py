@@ -12,7 +12,7 @@ from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
 from sumo_env.traffic.drivers import Calibration, CarFollowing, RiskRanges
 from sumo_env.traffic.risk import RiskRates
-from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
+from sumo_env.traffic.scenario import Spawn, VehicleSpec, car_id, fits
 
 ARRIVAL = 25.0  # [m] on an exit
 INITIAL_SPAWN_PROBABILITY = 0.6  # hard-coded in highway-env, independent of the config's spawn_probability
@@ -59,18 +59,41 @@ class Intersection(Task):
     risk_ranges = RiskRanges(tau=(0.2, 1.0), min_gap=(0.1, 1.0), decel=(0.6, 1.0), not_giving_way=0.8)
     risk_rates = RiskRates(surge=0.1, surge_way=20.0)
     target_speeds = (0.0, 4.5, 9.0)
+    shares_reward = True
 
     def road(self, config: Config) -> Road:
         return intersection()
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+        return self.car(0, config, road, rng)
+
+    def car(self, number: int, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+        """A learning car at the start: each on the next arm, clockwise."""
         destination = config["destination"] or f"o{rng.integers(1, 4)}"
         if destination not in ("o1", "o2", "o3"):
             raise ConfigError(f"'destination' must be 'o1', 'o2', 'o3' or None, not {destination!r}")
-        s = 60.0 + 5.0 * float(rng.normal(1.0))
+        s, arm = 60.0 + 5.0 * float(rng.normal(1.0)), number % 4
+        lane, driver = (f"o{arm}", f"ir{arm}", 0), ego_driver(self)
         return make_on_lane(
-            road, EGO, ("o0", "ir0", 0), s, 10.0, ego_driver(self), destination=destination, target_speed=9.0
+            road, car_id(number), lane, s, 10.0, driver, destination=destination, target_speed=9.0
         )
+
+    def with_cars(
+        self,
+        config: Config,
+        road: Road,
+        ego: VehicleSpec,
+        vehicles: list[VehicleSpec],
+        count: int,
+        rng: np.random.Generator,
+    ) -> list[VehicleSpec]:
+        if count > 4:
+            raise ConfigError(
+                f"'controlled_vehicles' of the intersection is at most 4, one on each arm, not {count}"
+            )
+        cars = [self.car(number, config, road, rng) for number in range(1, count)]
+        # who comes from its destination takes the first exit of the way back there that highway-env's car drives
+        return [*vehicles, *(spec._replace(destination=_exit(road, spec)) for spec in cars)]
 
     def vehicles(
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
@@ -113,6 +136,12 @@ class Intersection(Task):
 
     def arrived(self, ego: EgoState) -> bool:
         return ego.lane[0].startswith("il") and ego.lane[1].startswith("o") and ego.s >= ARRIVAL
+
+
+def _exit(road: Road, car: VehicleSpec) -> str:
+    """The first arm on a car's way."""
+    assert car.destination is not None
+    return road.route(car.lane[1], car.destination)[2]
 
 
 def _two_arms(rng: np.random.Generator) -> tuple[int, int]:

@@ -22,6 +22,7 @@ from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.tasks.terms import TERMS, measures_energy, terms
 from sumo_env.traffic.drivers import LACKING, vehicle_type
+from sumo_env.traffic.foreign import check_files
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic, VehicleSpec
 from sumo_env.traffic.sumo_files import Contents, configuration, is_output, paths, seconds
@@ -97,6 +98,7 @@ class NetworkTask(Task):
         if added := paths("additional", additional):
             _append(options, "additional-files", added)
         self._options = options
+        check_files(options)
         self._driven = files.network(self.net)
         for name, way in self._drawn:
             files.check_route(self._driven, name, way)

@@ -67,6 +67,7 @@ class Roundabout(Task):
         cut_in=0.1, brake=0.05, brake_decel=8.0, brake_duration=3.0, surge=0.1, surge_way=10.0
     )
     target_speeds = (0.0, 8.0, 16.0)
+    start_places = tuple((("ser", "ses", 0), s) for s in (100.0, 75.0, 50.0, 25.0))  # behind the ego
 
     def road(self, config: Config) -> Road:
         return roundabout()

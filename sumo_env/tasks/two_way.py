@@ -49,6 +49,7 @@ class TwoWay(Task):
     calibration = Calibration(lane_changes=False)
     risk_rates = RiskRates(cut_in=0.01, brake=0.2, brake_decel=5.0, brake_duration=1.5)
     fixed_delta = True
+    start_places = ((OWN, 5.0),)  # 25 m behind the ego
 
     def road(self, config: Config) -> Road:
         return two_way(road_length=float(config["road_length"]))

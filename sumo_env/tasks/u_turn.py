@@ -58,6 +58,7 @@ class UTurn(Task):
     risk_rates = RiskRates(cut_in=0.2, brake=0.1, brake_duration=2.0)
     fixed_delta = True
     target_speeds = (8.0, 16.0, 24.0)
+    start_places = ((("a", "b", 1), 0.0), (("a", "b", 1), 25.0))  # beside the ego, and ahead of it
 
     def road(self, config: Config) -> Road:
         return u_turn()

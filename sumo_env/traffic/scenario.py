@@ -102,6 +102,8 @@ class SumoTraffic:
     Attributes:
         options: SUMO's, by long names without dashes: the network, the files, and all else but the seed.
         origin: of the ego.
+        car_type: of the vehicles of the files that are learning cars, the first `max_cars` that depart; "" where they
+            are the ego and `Scenario.further`.
         elements: vehicle types, routes and vehicles that were drawn for this episode, as XML of an additional file.
         warm_up: time that the traffic drives before the ego comes [s].
         wait: longest time that SUMO may need to insert the ego from then on [s].
@@ -125,6 +127,8 @@ class SumoTraffic:
     seed: int | None = None
     imagined: int | None = None
     measures_energy: bool = False
+    car_type: str = ""
+    max_cars: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +139,8 @@ class Scenario:
         task: name of the task, for messages; the road is that of this name where `net` is empty.
         seed: that the scenario was drawn from.
         risk: dose of risky traffic, 0 to 1.
-        ego, vehicles: at the start.
+        ego, vehicles: at the start; the vehicles in the order of highway-env's list.
+        further: ids of those vehicles that are learning cars as well.
         spawns: attempts to add a vehicle later.
         events: of risky drivers, sorted by time.
         warm_up: time that the traffic drives before the ego is placed [s], see `Simulator.reset`.
@@ -167,6 +172,7 @@ class Scenario:
     calibration: Calibration = UNCALIBRATED
     obeys_lights: bool = False
     traffic: SumoTraffic | None = None
+    further: tuple[str, ...] = ()
 
     def __deepcopy__(self, memo: dict[int, object]) -> Scenario:
         return self  # immutable
@@ -189,6 +195,16 @@ class Scenario:
     def specs(self) -> tuple[VehicleSpec, ...]:
         """The ego and the others, in the order of the scene's rows."""
         return (self.ego, *self.vehicles)
+
+    @property
+    def cars(self) -> tuple[VehicleSpec, ...]:
+        """The learning cars, the ego first."""
+        return (self.ego, *(spec for spec in self.vehicles if spec.id in self.further))
+
+
+def car_id(number: int) -> str:
+    """Id of a learning car of the five tasks, from 0 on."""
+    return f"{EGO}_{number}" if number else EGO
 
 
 def fits(vehicle: VehicleSpec, centres: Iterable[tuple[float, float]]) -> bool:

@@ -31,6 +31,11 @@ SYNONYMS = {
     },
     **{"a": "additional-files", "additional": "additional-files", "b": "begin", "e": "end", "S": "scale"},
     **{"l": "log", "log-file": "log", "w": "weight-files", "weights": "weight-files", "v": "verbose"},
+    **{"ndump": "netstate-dump", "netstate": "netstate-dump", "person-fcd": "person-fcd-output"},
+    **{"summary": "summary-output", "tripinfo": "tripinfo-output", "personinfo": "personinfo-output"},
+    **{"vehroutes": "vehroute-output", "personroutes": "personroute-output", "X": "xml-validation"},
+    **{"device.fcd-replay.file": "device.fcd-replay.files", "m": "edgedata-files"},
+    **{"data-files": "edgedata-files"},
 }
 INPUTS = (
     "net-file",
@@ -39,11 +44,16 @@ INPUTS = (
     "weight-files",
     "load-state",
     "device.fcd-replay.files",
+    "edgedata-files",
 )
-# Of a configuration: what belongs to sumo-gui, to a server, or to the episode.
+# Of a configuration: what belongs to sumo-gui, to a server, or to the episode; and what ends SUMO at once, or lets it
+# read schemas of the network and document types whose entities never end.
 LEFT_OUT = (
-    *("end", "seed", "random", "remote-port", "num-clients", "save-configuration", "start", "quit-on-end"),
-    *("verbose", "duration-log.statistics", "print-options", "output-prefix"),
+    *("end", "seed", "random", "remote-port", "num-clients", "start", "quit-on-end", "verbose"),
+    *("duration-log.statistics", "print-options", "output-prefix", "configuration-file"),
+    *("configuration", "c", "help", "version", "V", "save-configuration", "save-config", "C"),
+    *("save-template", "save-schema", "save-commented", "save-template.commented", "xml-validation"),
+    *("xml-validation.net", "xml-validation.routes"),
 )
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
 DEPARTING = ("vehicle", "trip", "flow", "person", "personFlow", "container", "containerFlow")

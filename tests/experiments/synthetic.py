@@ -66,7 +66,8 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         table["truncated"] = ~crashed & ~table["arrived"]
         table["mean_speed"] = np.abs(random.normal(speed, 1.0, n))
         table["distance"] = table["mean_speed"] * length
-        table["near_misses"] = random.poisson(1 + 0.5 * (traffic == "risky"), n)
+        table["near_misses"] = np.minimum(random.poisson(1 + 0.5 * (traffic == "risky"), n), length)
+        table["min_ttc"] = np.inf
         table["density"], table["stopped"] = 8.0 * cell.level, 0.02
         table[[f"action_{k}" for k in range(5)]] = random.multinomial(length, [0.1, 0.3, 0.1, 0.2, 0.3])
         table["crash_time"] = np.where(crashed, length - random.uniform(0, 1, n), np.nan)

@@ -49,7 +49,7 @@ def test_a_problem_is_told_and_ends_the_examination(monkeypatch: pytest.MonkeyPa
     def never() -> str:
         raise AssertionError("this check rests on the one before")
 
-    monkeypatch.delitem(sys.modules, "sumo_env.sumo.session", raising=False)
+    monkeypatch.delitem(sys.modules, "sumo_env.sumo.engine", raising=False)
     monkeypatch.setitem(sys.modules, "libsumo", None)  # an import raises ImportError
     out = io.StringIO()
     checks = (("first", lambda: "fine"), ("SUMO", doctor.sumo), ("third", never))
@@ -64,7 +64,7 @@ def test_a_system_that_cannot_load_sumo_is_told_what_it_lacks(
 ) -> None:
     """As in a slim container, where the wheel is installed and the libraries of the window are not."""
     (tmp_path / "libsumo.py").write_text("raise ImportError('libX11.so.6: cannot open shared object file')")
-    monkeypatch.delitem(sys.modules, "sumo_env.sumo.session", raising=False)
+    monkeypatch.delitem(sys.modules, "sumo_env.sumo.engine", raising=False)
     monkeypatch.delitem(sys.modules, "libsumo", raising=False)
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ImportError, match=r"SUMO is here.*libx11-6.*libX11\.so\.6: cannot open"):

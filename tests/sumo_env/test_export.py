@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -107,3 +108,14 @@ def test_an_export_leaves_the_episode_as_it_is(tmp_path: Path) -> None:
 def test_there_is_nothing_to_export_before_a_reset(tmp_path: Path) -> None:
     with pytest.raises(gym.error.ResetNeeded):
         DrivingEnv("u-turn").export(tmp_path)
+
+
+def test_an_export_follows_no_link(tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    for name in ("network.net.xml", "episode.sumocfg"):
+        (tmp_path / name).symlink_to(precious)
+    with closing(gym.make("sumo/u-turn-v0")) as env:
+        env.reset(seed=0)
+        env.unwrapped.export(tmp_path)  # type: ignore[attr-defined]
+    assert precious.read_text() == "mine" and not (tmp_path / "episode.sumocfg").is_symlink()

@@ -17,7 +17,9 @@ from sumo_env.config import ConfigError, ignore
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv, HighwayEnvFast, IntersectionEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
+from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
+from tests.processes import python
 
 CLASSES = (HighwayEnv, TwoWayEnv, RoundaboutEnv, IntersectionEnv, UTurnEnv)
 
@@ -145,6 +147,35 @@ def test_default_config_is_a_class_method_or_a_method() -> None:
     env.reset(seed=0)
     assert 2.0 <= float(env.step(1)[1]) <= 3.0
     env.close()
+
+
+def test_classes_of_the_package_are_imported_when_they_are_asked_for() -> None:
+    assert sumo_env.DrivingEnv is DrivingEnv and {"DrivingEnv", "SumoDrivingEnv", "Task"} <= set(
+        dir(sumo_env)
+    )
+    assert isinstance(TASKS["u-turn"], sumo_env.Task)
+    code = "import sumo_env, sys; assert 'sumo_env.env' not in sys.modules; sumo_env.SumoDrivingEnv"
+    python("-c", code)
+
+
+class OfTheReplica(ReplicaEnv):
+    """Written as highway-env's classes are."""
+
+    def __init__(self) -> None:
+        super().__init__("u-turn", version=1)
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        config = super().default_config()
+        config.update({"duration": 5, "bonus": 1})
+        return config
+
+
+def test_the_replica_can_be_subclassed_likewise() -> None:
+    env = OfTheReplica()
+    assert env.config["neighbour_vehicles_connected_lanes"] and env.config["simulation_frequency"] == 15
+    assert (env.config["duration"], env.config["bonus"]) == (5, 1)
+    assert ReplicaEnv.default_config()["simulation_frequency"] == 15
 
 
 class OwnSpaces(HighwayEnv):

@@ -19,10 +19,8 @@ from experiments.study.compute.progress import costs
 from experiments.study.compute.run import Heartbeat
 from experiments.study.design.arms import gate_traffics
 from experiments.study.design.grid import Cell, tested_on
+from experiments.study.results.schema import EPISODES, GATE_COLUMNS, GATES
 from experiments.study.results.store import (
-    EPISODES,
-    GATE_COLUMNS,
-    GATES,
     TRAINING,
     WEIGHTS,
     DamagedCell,
@@ -64,7 +62,7 @@ class CellTask:
         """Whether it is stored; damaged results are named and put aside."""
         store = Store(self.directory)
         try:
-            store.record(self.name)
+            store.tables(self.name)
         except KeyError:
             return False
         except DamagedCell as error:

@@ -14,37 +14,12 @@ from agents.policies import Policy
 from experiments.study.compute.wrappers import UnseenRisk
 from experiments.study.design.arms import scenario_seed, stream_seed
 from experiments.study.design.traffic import TRAFFICS, traffic_named
+from experiments.study.results import schema
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
-ACTIONS = 5
-# Columns of episodes.parquet and their types, one row a test episode.
-COLUMNS: dict[str, str] = {
-    "traffic": "str",  # "regular", "risky", or another of `traffic.ALL`
-    "scenario": "int64",  # number of the scenario, the same seed in both traffics
-    "return": "float64",  # undiscounted sum of rewards
-    "length": "int64",  # policy steps
-    "crashed": "bool",
-    "arrived": "bool",
-    "truncated": "bool",  # the time limit ended it
-    "mean_speed": "float64",  # [m/s], mean over the steps
-    "distance": "float64",  # [m]
-    "min_ttc": "float64",  # [s] smallest time-to-collision, inf if there was none
-    "near_misses": "int64",  # steps with a time-to-collision below 1.5 s and no crash
-    "density": "float64",  # other vehicles within 200 m, mean over the steps
-    "stopped": "float64",  # share of the steps with less than 1 m/s
-    **{f"action_{number}": "int64" for number in range(ACTIONS)},  # how often each action was chosen
-    "crash_time": "float64",  # [s] since the start; this and the following are missing without a crash
-    "crash_other": "str",
-    "crash_x": "float64",  # [m] the ego's centre
-    "crash_y": "float64",
-    "crash_relative_x": "float64",  # [m] the other's centre in the ego's frame
-    "crash_relative_y": "float64",
-    "crash_relative_heading": "float64",  # [rad]
-    "crash_closing_speed": "float64",  # [m/s]
-    "crash_type": "str",
-    "crash_detected_by": "str",
-    "actions": "str",  # the actions one after the other, a digit each; cells of earlier versions lack them
-}
+COLUMNS = {
+    name: column.type for name, column in schema.COLUMNS.items()
+}  # of episodes.parquet, with their types
 CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
 
 
@@ -129,7 +104,7 @@ def play(
         "near_misses": sum(bool(step["near_miss"]) for step in steps),
         "density": float(np.mean([step["density"] for step in steps])),
         "stopped": float((speeds < STOPPED).mean()),
-        **{f"action_{number}": actions.count(number) for number in range(ACTIONS)},
+        **{f"action_{number}": actions.count(number) for number in range(schema.ACTIONS)},
         **{f"crash_{key}": crash.get(key) for key in CRASH_KEYS},
         "actions": "".join(map(str, actions)),
     }

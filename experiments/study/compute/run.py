@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import errno
 import faulthandler
-import fcntl
 import json
-import os
 import shutil
 import signal
 import time
@@ -25,8 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+from filelock import FileLock, Timeout
+
 from experiments.study.results.working import LOCK, LOG, PROGRESS, last_words
 from experiments.support.errors import UserError, disk_error
+from experiments.support.files import not_followed
 
 RETRIES = 3  # a task that goes wrong is begun again at most so often
 # Exit status of a process that faulthandler ends, and of one that must not be used again.
@@ -34,7 +35,7 @@ HUNG, SPOILT = 1, 70
 POLL = 0.5  # [s] between two looks at the running tasks, and between two writes of progress.json
 RECHECK = 2.0  # [s] that a process waits for a task that another run computes
 # An error of these kinds awaits every task: the run stops instead of trying again.
-DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
+DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ELOOP}
 
 Heartbeat = Callable[[float], None]
 
@@ -125,7 +126,7 @@ def compute_here(task: Task) -> None:
 
 def log(folder: Path, text: str) -> None:
     """Add some text, with the time, to a task's log. A full disk must not hide the error that is being logged."""
-    with suppress(OSError), (folder / LOG).open("a") as file:
+    with suppress(OSError), open(folder / LOG, "a", opener=not_followed) as file:
         file.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')}\n{text.rstrip()}\n")
 
 
@@ -134,29 +135,21 @@ def locked(folder: Path) -> Iterator[bool]:
     """Hold the lock of a working folder, which is made if it is missing; yields False if another process holds it."""
     while True:
         folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / LOCK, timeout=0, fallback_to_soft=False)
         try:
-            file = (folder / LOCK).open("a")
+            lock.acquire()
+        except Timeout:
+            yield False
+            return
         except FileNotFoundError:  # whoever has just finished the task has removed its folder
             continue
-        with file:
-            mine = True
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                mine = False
-            except OSError:  # no locks here: two sweeps may compute one task and get the same; one is kept
-                pass
-            if not mine or _is_same(file.fileno(), folder / LOCK):
-                yield mine
-                return
-
-
-def _is_same(descriptor: int, path: Path) -> bool:
-    """Whether a path still names an open file: it may have been removed before the lock was taken."""
+        except OSError:  # no locks here: two sweeps may compute one task and get the same; one is kept
+            pass
+        break
     try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
-        return False
+        yield True
+    finally:
+        lock.release()
 
 
 @contextmanager
@@ -167,7 +160,7 @@ def watched(folder: Path, silence: float) -> Iterator[Heartbeat]:
     in a deadlock and in an endless loop of a library as well.
     """
     last = -POLL
-    with (folder / LOG).open("a") as file:
+    with open(folder / LOG, "a", opener=not_followed) as file:
 
         def heartbeat(fraction: float) -> None:
             nonlocal last
@@ -176,8 +169,9 @@ def watched(folder: Path, silence: float) -> Iterator[Heartbeat]:
                 return
             last = now
             faulthandler.dump_traceback_later(silence, exit=True, file=file)
-            with suppress(OSError):  # a result says so itself if it cannot be written
-                (folder / PROGRESS).write_text(json.dumps(fraction))
+            # a result says so itself if it cannot be written
+            with suppress(OSError), open(folder / PROGRESS, "w", opener=not_followed) as progress:
+                json.dump(fraction, progress)
 
         faulthandler.enable(file)
         heartbeat(0.0)
@@ -265,7 +259,8 @@ def _ending(task: Task, future: Future[Attempt]) -> Attempt:
     elif code == HUNG:
         reason = f"it hung: no sign of life for {task.silence:.0f} s"
     elif code < 0:
-        reason = f"its process was killed by {signal.Signals(-code).name}"
+        names = {number: number.name for number in signal.Signals}  # those for real time have none
+        reason = f"its process was killed by {names.get(-code, f'signal {-code}')}"
     else:
         reason = f"its process ended with exit status {code}"
     log(task.folder, reason)

@@ -45,8 +45,19 @@ def fingerprint(backend: str, task: str) -> str:
 
 
 def _table() -> dict[str, dict[str, dict[str, str]]]:
-    """`name` and `behaviour` by backend and task."""
-    return json.loads(TABLE.read_text())
+    """`name` and `behaviour` by backend and task. Raises UserError where the file is not as `main` has written it."""
+    try:
+        table = json.loads(TABLE.read_text())
+        right = table.pop("sha256") == _checksum(table)
+    except (OSError, ValueError, KeyError, AttributeError):
+        right = False
+    if not right:
+        raise UserError(f"{TABLE} is damaged: restore it (git checkout {TABLE})")
+    return table
+
+
+def _checksum(table: Mapping[str, Any]) -> str:
+    return sha256_bytes(canonical_json(table).encode())
 
 
 def known_dynamics(backend: str, task: str) -> str:
@@ -98,7 +109,7 @@ def main() -> int:
             if found != known["behaviour"]:
                 print(f"{backend} {task}: {known['name']} -> {found}")
                 known.update(name=found, behaviour=found)
-    write_json(TABLE, table)
+    write_json(TABLE, {**table, "sha256": _checksum(table)})
     return 0
 
 

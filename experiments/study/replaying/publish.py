@@ -24,6 +24,7 @@ from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.grid import LEARNER, tested_on
 from experiments.study.results.store import EPISODES, Store
+from experiments.support.errors import UserError, run_command
 from sumo_env.tasks import TASKS
 
 COMPARED = 25  # test scenarios of each traffic
@@ -81,13 +82,15 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
     return about, policy
 
 
-def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretrained.FILE) -> None:
+def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretrained.FILE) -> int:
     """Write the file of agents.
 
     Args:
         directory: a study's results on SUMO.
         out: the file.
     """
+    if not out.parent.is_dir():
+        raise UserError(f"there is no folder {out.parent}: make it, or choose another file with --out")
     agents: dict[str, tuple[dict[str, Any], Greedy]] = {}
     if out.exists():
         for label, about in pretrained.cards(out).items():
@@ -106,7 +109,8 @@ def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretraine
             print(label, agent[0]["precision"], agent[0]["risky"]["crash_rate"])
     pretrained.save(dict(sorted(agents.items())), out)
     print(f"written: {out} ({len(agents)} agents, {out.stat().st_size / 1e6:.1f} MB)")
+    return 0
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_command(lambda: tyro.cli(main))

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -19,6 +18,9 @@ from typing import Any
 
 import pandas as pd
 
+from agents.checkpoint import open_regular
+from agents.schema import Wrong, check, shortened
+from experiments.study.results.schema import TEXT, check_columns, check_episodes, check_record, parsed
 from experiments.support.errors import UserError
 from experiments.support.files import is_name, read_text, sha256_bytes, sha256_file, write_file, write_json
 
@@ -64,13 +66,14 @@ def checksums(directory: Path) -> dict[str, tuple[str, ...]]:
     """
     manifest = directory / MANIFEST
     try:
-        value = json.loads(read_text(manifest))
+        value = parsed(read_text(manifest))
+        check(value, {"layout": int, "files": dict})
         layout, files = value["layout"], {name: tuple(sums) for name, sums in value["files"].items()}
-        if not all(map(is_name, files)):
-            raise ValueError(f"it names files elsewhere: {list(files)}")
+        if layout == LAYOUT and not (CELLS in files and all(map(is_name, files))):
+            raise Wrong(f"it names files elsewhere, or no {CELLS}: {list(files)}")
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise DamagedTable(manifest, f"{type(error).__name__}: {error}") from None
     if layout != LAYOUT:
         raise UserError(
@@ -81,10 +84,18 @@ def checksums(directory: Path) -> dict[str, tuple[str, ...]]:
 
 @lru_cache(8)
 def _records(path: Path, sums: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    index = _read(path, sums)
-    if wrong := [name for name in index["cell"] if not is_name(name)]:
-        raise DamagedTable(path, f"names of cells that lead elsewhere: {wrong[:3]}")
-    return {name: json.loads(text) for name, text in zip(index["cell"], index["record"], strict=True)}
+    index, found = _read(path, sums), {}
+    for name, text in zip(index["cell"], index["record"], strict=True):
+        try:
+            if not is_name(name):
+                raise Wrong("the name of a cell leads elsewhere")
+            if name in found:
+                raise Wrong("the cell is there twice")
+            found[name] = parsed(text)
+            check_record(name, found[name])
+        except (TypeError, ValueError) as error:
+            raise DamagedTable(path, f"{shortened(name)}: {error}") from None
+    return found
 
 
 @lru_cache(8)
@@ -106,7 +117,24 @@ def _read(path: Path, sums: tuple[str, ...]) -> pd.DataFrame:
         raise DamagedTable(path, error.strerror or "unreadable") from None
     if found not in sums:
         raise DamagedTable(path, "its checksum does not match")
-    return pd.read_parquet(path)
+    try:
+        table = read_table(path)
+        check_columns(table, {"cell": TEXT, "record": TEXT}, ("cell", "record") if path.name == CELLS else ("cell",))
+        check_episodes(path.name, table)
+    except Wrong as error:
+        raise DamagedTable(path, str(error)) from None
+    return table
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """A parquet file. Raises Wrong, whatever pyarrow stumbles over; FileNotFoundError."""
+    try:
+        with open_regular(path) as file:
+            return pd.read_parquet(file)
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        raise Wrong(f"it is no table: {str(error).partition(chr(10))[0]}") from None
 
 
 def add(
@@ -130,19 +158,23 @@ def add(
         | {name: own[file] for name, own in tables.items() if file in own}
         for file in sorted({*before, *(file for own in tables.values() for file in own)} - {CELLS})
     }
-    parts[CELLS] = {  # written last
+    parts[CELLS] = {
         name: pd.DataFrame({"record": [json.dumps(record, allow_nan=False)]})
         for name, record in everything.items()
     }
     contents = {file: _joined(file, of_cells) for file, of_cells in parts.items()}
     for name, path in weights.items():
         packed_weights(directory, name).parent.mkdir(exist_ok=True)
-        shutil.copyfile(path, packed_weights(directory, name))
+        write_file(packed_weights(directory, name), path.read_bytes())
     new = {file: [sha256_bytes(data)] for file, data in contents.items()}
-    either = {file: [*digest, *before.get(file, [])] for file, digest in new.items()}
-    write_json(directory / MANIFEST, {"layout": LAYOUT, "files": either})
-    for file, data in contents.items():
-        write_file(directory / file, data)
+    for file in contents.keys() - before.keys():  # nobody reads them before the manifest names them
+        write_file(directory / file, contents[file])
+    if before:
+        either = {file: [*digest, *before.get(file, [])] for file, digest in new.items()}
+        write_json(directory / MANIFEST, {"layout": LAYOUT, "files": either})
+    for file, data in contents.items():  # the records last: a cell of which one is there has all its rows
+        if file in before:
+            write_file(directory / file, data)
     write_json(directory / MANIFEST, {"layout": LAYOUT, "files": new})
 
 

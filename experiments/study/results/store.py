@@ -28,15 +28,19 @@ import pandas as pd
 from experiments.study.design.grid import RESULT_SCHEMA, Cell, cell_name, setting
 from experiments.study.results.packed import (
     MANIFEST,
+    DamagedTable,
     add,
     as_parquet,
     packed_records,
     packed_tables,
     packed_weights,
+    read_table,
 )
+from experiments.study.results.schema import EPISODES, GATES, check_episodes, check_record, check_rows, parsed
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
 from agents.checkpoint import open_regular
+from agents.schema import Wrong, check
 from experiments.support.files import (
     alone,
     is_name,
@@ -49,13 +53,9 @@ from experiments.support.files import (
 )
 from sumo_env.config import did_you_mean
 
-CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
-TRAINING, WEIGHTS = "training.parquet", "weights.npz"
+CELL, TRAINING, WEIGHTS = "cell.json", "training.parquet", "weights.npz"
 TABLES = (EPISODES, GATES, TRAINING)
 SWEEPS = "sweep.json"
-# Columns of gates.parquet.
-_JUDGED = ("traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses")
-GATE_COLUMNS = (*_JUDGED, *(f"action_{number}" for number in range(5)))
 HEAD = '{\n "checksum": "%s",\n'  # of cell.json
 
 
@@ -113,12 +113,22 @@ class Store:
 
     def tables(self, name: str, wanted: Sequence[str] = TABLES) -> dict[str, pd.DataFrame]:
         """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
-        path = self.cells / name
-        if not path.is_dir():
-            packed = {file: packed_tables(self.directory, file) for file in wanted}
-            return {file: tables[name] for file, tables in packed.items() if name in tables}
-        files = read_cell(path)["files"]
-        return {file: pd.read_parquet(path / file) for file in wanted if file in files}
+        path, record, found = self.cells / name, self.record(name), {}
+        for file in (file for file in wanted if file in record["files"]):
+            try:
+                if path.is_dir():
+                    found[file] = read_table(path / file)
+                    check_episodes(file, found[file])
+                elif name in (packed := packed_tables(self.directory, file)):
+                    found[file] = packed[name]
+                elif file != TRAINING:  # published folders lack them
+                    raise Wrong("it has no rows")
+                check_rows(record["key"], file, found.get(file, pd.DataFrame()))
+            except Wrong as error:
+                if path.is_dir():
+                    raise DamagedCell(path / file, str(error)) from None
+                raise DamagedTable(self.directory / file, f"{name}: {error}") from None
+        return found
 
     def weights(self, name: str) -> Path | None:
         """The file of an agent's weights; None if it is not here."""
@@ -163,11 +173,12 @@ class Store:
         """
         path = self.directory / SWEEPS
         try:
-            sweeps = json.loads(read_text(path))["sweeps"]
-            return [{"command": sweep["command"], "cells": list(sweep["cells"])} for sweep in sweeps]
+            noted = parsed(read_text(path))
+            check(noted, {"sweeps": [{"command": str, "cells": [str]}]})
+            return [{"command": sweep["command"], "cells": sweep["cells"]} for sweep in noted["sweeps"]]
         except FileNotFoundError:
             return []
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError) as error:
             reason = str(error).partition("\n")[0]
             raise UserError(
                 f"{path} is damaged ({reason}): delete this file and run the sweep again"
@@ -223,6 +234,8 @@ class Store:
         """
         self.check()
         with alone(self.directory):
+            for left in self.directory.glob(".*.tmp"):  # by a packing that was killed
+                left.unlink()
             packed = packed_records(self.directory)
             new = {name: self.record(name) for name in self.finished() if name not in packed}
             weights = {name: self.cells / name / WEIGHTS for name in new}
@@ -255,18 +268,17 @@ def read_cell(path: Path) -> dict[str, Any]:
         begin = len(HEAD % ("0" * 64))
         if data[:begin] != (HEAD % sha256_bytes(data[begin:])).encode():
             raise DamagedCell(file, "its checksum does not match")
-        record: dict[str, Any] = json.loads(data)
+        record: dict[str, Any] = parsed(data)
         del record["checksum"]
-        if (name := cell_name(record["key"], record["versions"])) != path.name:
-            raise DamagedCell(file, f"its content is that of {name}")
-        if wrong := [name for name in record["files"] if not is_name(name)]:
-            raise DamagedCell(file, f"it names files elsewhere: {wrong}")
+        check_record(path.name, record)
         for file, checksum in ((path / name, checksum) for name, checksum in record["files"].items()):
             found = sha256_file(file)
             if found != checksum:
                 raise DamagedCell(file, "its checksum does not match")
     except OSError as error:
         raise DamagedCell(file, error.strerror or "unreadable") from None
+    except (ValueError, TypeError) as error:
+        raise DamagedCell(file, str(error)) from None
     return record
 
 

@@ -8,22 +8,29 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 import agents
 from agents import pretrained
-from agents.checkpoint import atomic
-from agents.models import EgoAttention
+from agents.checkpoint import CheckpointError, atomic
+from agents.episodes import Episodes
+from agents.greedy import Greedy
+from agents.models import DuelingMLP, EgoAttention
 from agents.plugins import sha256
 from experiments.study.compute.policies import driver
+from experiments.study.compute.run import log, watched
 from experiments.study.design.grid import learner_of
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results import packed, store
 from experiments.study.results.store import Store, load
-from experiments.support.errors import UserError
+from experiments.study.results.working import LOG, PROGRESS
+from experiments.support.errors import UserError, run_command
 from experiments.support.files import sha256_file
+from experiments.support.films import check_film, save_gif
 from tests.experiments.fake_env import FakeEnv
 
 
@@ -128,7 +135,7 @@ def test_a_packed_cell_has_a_name_that_leads_nowhere(results: Path, name: str) -
     index.to_parquet(table)
     manifest["files"][packed.CELLS] = [sha256_file(table)]
     (results / packed.MANIFEST).write_text(json.dumps(manifest))
-    with pytest.raises(UserError, match="names of cells that lead elsewhere"):
+    with pytest.raises(UserError, match="the name of a cell leads elsewhere"):
         load(results)
 
 
@@ -139,3 +146,65 @@ def test_a_link_in_the_place_of_a_temporary_file_is_not_followed(tmp_path: Path)
     with atomic(file) as opened:
         opened.write(b"ours")
     assert (precious.read_text(), file.read_text()) == ("mine", "ours")
+
+
+@pytest.mark.parametrize("kind", ["film", "log", "progress"])
+def test_a_link_in_the_place_of_an_output_is_not_followed(kind: str, tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    name = {"film": "film.gif", "log": LOG, "progress": PROGRESS}[kind]
+    (tmp_path / name).symlink_to(precious)
+    if kind == "film":
+        save_gif([Image.new("RGB", (4, 4))], tmp_path / name)
+    elif kind == "log":
+        log(tmp_path, "words")
+    else:
+        with watched(tmp_path, 60.0):
+            pass
+    assert precious.read_text() == "mine"
+
+
+def test_a_film_is_refused_before_it_is_made(tmp_path: Path) -> None:
+    for name in ("film.mp4", "film", "film.gif.txt"):
+        with pytest.raises(UserError, match="the name of a film ends in"):
+            check_film(tmp_path / name, ".gif")
+    with pytest.raises(UserError, match=r"there is no folder .*/nowhere for film\.gif"):
+        check_film(tmp_path / "nowhere" / "film.gif", ".gif")
+    check_film(tmp_path / "film.gif", ".gif")
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(28, "No space left on device"), PermissionError(13, "Permission denied", "x.parquet")]
+)
+def test_what_cannot_be_written_is_said_in_a_line(error: OSError, capsys: pytest.CaptureFixture[str]) -> None:
+    def command() -> int:
+        raise error
+
+    with pytest.raises(SystemExit) as ended:
+        run_command(command)
+    said = capsys.readouterr().err
+    assert ended.value.code == 2 and said.startswith("error: ") and said.count("\n") == 1
+    assert "no space left" in said or "cannot write to x.parquet: Permission denied" in said
+
+
+def test_weights_and_values_are_numbers(tmp_path: Path) -> None:
+    space = gym.spaces.Box(-1, 1, (2, 5), np.float32)
+    network = DuelingMLP(space, 5)
+    for weights in network.parameters():
+        weights.data.fill_(np.nan)
+    with pytest.raises(ValueError, match="the network's value of action 0 is nan, not a finite number"):
+        Greedy(network).act(np.zeros((2, 5), np.float32))
+    Greedy(network).save(tmp_path / "weights.npz")
+    with pytest.raises(CheckpointError, match=r"weights\.npz: the weights .* are not finite"):
+        Greedy.load(tmp_path / "weights.npz", DuelingMLP(space, 5))
+
+
+def test_rewards_are_numbers() -> None:
+    class Lost(FakeEnv):
+        def step(self, action: int) -> Any:
+            return None, float("nan"), False, False, {}
+
+    env = Episodes(Lost("u-turn", {"duration": 20}))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="the reward of training step 1 is nan, not a finite number"):
+        env.step(1)

@@ -11,8 +11,9 @@ from threading import Timer
 
 import pytest
 
+from experiments.study.compute.executors import local
 from experiments.study.compute.executors.local import LocalExecutor
-from tests.processes import children, is_alive, started, wait_for
+from tests.processes import children, is_alive, python, started, wait_for
 
 # Workers in a call into C that never gives the interpreter back, as in a compiler.
 HOLD = """
@@ -63,3 +64,37 @@ def test_a_worker_that_is_still_starting_is_stopped_without_a_traceback(tmp_path
     executor.shutdown(cancel_futures=True)
     assert not is_alive(first) and not is_alive(second)
     assert capfd.readouterr().err == ""
+
+
+def watch_without_fcntl(started: Path) -> None:
+    """What a worker does on a system without it."""
+    local.fcntl = None
+    local.end_with_parent()
+    started.write_text(str(os.getpid()))
+    time.sleep(600)
+
+
+WATCHED = """
+import multiprocessing, sys, time
+from pathlib import Path
+from tests.experiments.study.test_orphans import watch_without_fcntl
+if __name__ == "__main__":
+    multiprocessing.get_context("spawn").Process(target=watch_without_fcntl, args=(Path(sys.argv[1]),)).start()
+    time.sleep(600)
+"""
+
+
+def test_a_worker_ends_with_its_parent_without_fcntl(tmp_path: Path) -> None:
+    (tmp_path / "driver.py").write_text(WATCHED)
+    process, note = started(tmp_path / "driver.py", tmp_path / "pid"), tmp_path / "pid"
+    wait_for(lambda: note.exists() and note.read_text() != "", 120)
+    process.kill()
+    process.communicate(timeout=30)
+    wait_for(lambda: not is_alive(int(note.read_text())), 30)
+
+
+def test_experiments_can_be_imported_without_fcntl() -> None:
+    python(
+        "-c",
+        "import sys; sys.modules['fcntl'] = None; import experiments.sweep",
+    )

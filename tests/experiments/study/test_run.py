@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
 from experiments.study.compute.executors import open_executor
-from experiments.study.compute.run import Observer, attempt, locked, run, watched
+from experiments.study.compute.run import Attempt, Observer, _ending, attempt, locked, run, watched
 from experiments.study.results.working import LOG, last_words
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import STEPS, Sum
@@ -157,3 +158,9 @@ class Refusing(Executor):
 def test_an_executor_that_takes_no_more_tasks_ends_the_run_in_one_line(tmp_path):
     with pytest.raises(UserError, match=r"takes no more tasks \(the cluster is gone\): run the same command"):
         run([Sum("task", tmp_path)], Refusing(), 1)
+
+
+def test_a_signal_without_a_name_is_told_by_its_number(tmp_path: Path) -> None:
+    ended: Future[Attempt] = Future()
+    ended.set_exception(type("ProcessExpired", (Exception,), {"exitcode": -35})("it ended"))
+    assert _ending(Sum("a", tmp_path), ended) == Attempt("failed", "its process was killed by signal 35")

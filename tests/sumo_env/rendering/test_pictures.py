@@ -114,3 +114,24 @@ def test_an_environment_that_has_drawn_a_picture_can_be_copied() -> None:
     env.reset(seed=0)
     picture = env.render()
     assert (copy.deepcopy(env).render() == picture).all()
+
+
+@pytest.mark.parametrize("action", [3, np.int64(3), np.array(3)], ids=repr)
+def test_the_action_is_named(action: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In any form that an agent may give it."""
+    env = ReplicaEnv("highway", {"vehicles_count": 1}, render_mode="rgb_array")
+    env.reset(seed=0)
+    drawn: list[Any] = []
+    monkeypatch.setattr(Renderer, "draw", lambda self, *arguments: drawn.append(arguments[3]))
+    env.render()
+    env.step(action)
+    env.render()
+    assert drawn == ["", "FASTER"]
+
+
+def test_the_kind_of_an_event_is_written_above_its_ring() -> None:
+    now = replace(scene((100, 4, 0), (115, 4, 0)), in_event=frozenset({"v1"}))
+    ring = Renderer().draw(now, highway(4), VIEW)
+    named = Renderer().draw(now, highway(4), VIEW, "", {"v1": "brake"})
+    rows, columns = np.nonzero((ring != named).any(axis=2))
+    assert rows.size and rows.max() <= 103 - 10 * RING and 200 < columns.min() < 250 < columns.max() < 300

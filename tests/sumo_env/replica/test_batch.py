@@ -124,7 +124,7 @@ def test_what_the_kernels_do_not_know_is_driven_by_single_environments(keywords:
 def test_errors() -> None:
     with pytest.raises(ConfigError, match="did you mean 'vehicles_count'"):
         gym.make_vec("replica/highway-v0", num_envs=2, config={"vehicle_count": 3})
-    with pytest.raises(TypeError, match=r"'vehicles_count' is no argument.*config="):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'vehicles_count'"):
         gym.make_vec("replica/highway-v0", num_envs=2, vehicles_count=3)
     with pytest.raises(ValueError, match="at least 1"):
         gym.make_vec("replica/highway-v0", num_envs=2, threads=0)

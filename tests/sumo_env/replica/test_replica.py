@@ -66,12 +66,12 @@ def command(scenario: Any) -> EgoCommand:
 def test_the_trace_is_the_scene_after_every_sub_step() -> None:
     simulator, scenario = start("u-turn")
     silent = copy.deepcopy(simulator)
-    step = simulator.step(command(scenario), trace=True)
+    step = simulator.step({"ego": command(scenario)}, trace=True)
     assert [scene.time for scene in step.trace] == pytest.approx(np.arange(1, 16) / 15, abs=1e-6)
     last = step.trace[-1]
     assert (last.time, last.ids) == (step.scene.time, step.scene.ids)
     np.testing.assert_array_equal(last.x, step.scene.x)
-    without = silent.step(command(scenario))
+    without = silent.step({"ego": command(scenario)})
     assert without.trace == ()
     np.testing.assert_array_equal(without.scene.x, step.scene.x)
 
@@ -80,7 +80,7 @@ def test_the_trace_is_the_scene_after_every_sub_step() -> None:
 def test_measures_are_those_of_the_trace(task: str) -> None:
     simulator, scenario = start(task, seed=3, risk=1.0)
     before = simulator.reset(scenario)
-    step = simulator.step(command(scenario), trace=True)
+    step = simulator.step({"ego": command(scenario)}, trace=True)
     least = np.inf
     for scene in step.trace:
         if scene.crashed[0]:
@@ -88,9 +88,9 @@ def test_measures_are_those_of_the_trace(task: str) -> None:
         ego, *others = states(scene)
         near = [o for o in others if np.hypot(o[0] - ego[0], o[1] - ego[1]) <= TTC_RADIUS]
         least = min(least, ego_ttc(ego, near))
-    assert step.min_ttc == pytest.approx(least, abs=1e-9)
+    assert step.ego.min_ttc == pytest.approx(least, abs=1e-9)
     speeds = [before.speed[0], *(scene.speed[0] for scene in step.trace[:-1])]
-    assert step.distance == pytest.approx(sum(max(speed, 0.0) for speed in speeds) / 15)
+    assert step.ego.distance == pytest.approx(sum(max(speed, 0.0) for speed in speeds) / 15)
 
 
 def test_functions_round_as_numpy_does_on_this_processor() -> None:
@@ -144,13 +144,13 @@ def test_stale_machine_code_that_cannot_be_removed_is_not_used(
 
 def test_a_simulator_that_was_closed_or_never_reset_says_so() -> None:
     with pytest.raises(RuntimeError, match="reset"):
-        Replica().step(EgoCommand(20.0, ("0", "1", 0)))
+        Replica().step({"ego": EgoCommand(20.0, ("0", "1", 0))})
     simulator, scenario = start("u-turn")
     simulator.close()
     with pytest.raises(RuntimeError, match="reset"):
-        simulator.step(command(scenario))
+        simulator.step({"ego": command(scenario)})
     simulator.reset(scenario)
-    simulator.step(command(scenario))
+    simulator.step({"ego": command(scenario)})
 
 
 def test_a_simulator_can_be_sent_to_another_process() -> None:
@@ -158,5 +158,5 @@ def test_a_simulator_can_be_sent_to_another_process() -> None:
     other = pickle.loads(pickle.dumps(simulator))
     simulator.reset(scenario)
     np.testing.assert_array_equal(
-        other.step(command(scenario)).scene.x, simulator.step(command(scenario)).scene.x
+        other.step({"ego": command(scenario)}).scene.x, simulator.step({"ego": command(scenario)}).scene.x
     )

@@ -60,8 +60,8 @@ def driven(drawn: Scenario, steps: int, name: str) -> list[tuple[Scene, int]]:
     seen: list[tuple[Scene, int]] = []
     lane = drawn.ego.lane
     for _ in range(steps):
-        step = simulator.step(EgoCommand(drawn.ego.target_speed, lane), trace=True)
-        lane = step.target_lane
+        step = simulator.step({"ego": EgoCommand(drawn.ego.target_speed, lane)}, trace=True)
+        lane = step.ego.target_lane
         seen += [(scene, scene.ids.index(name)) for scene in step.trace]
     return seen
 

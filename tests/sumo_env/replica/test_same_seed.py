@@ -107,8 +107,8 @@ def test_a_driven_episode_is_a_scenario_that_can_be_driven_again(tmp_path: Path)
             {"config": {"observation": {"type": "LidarObservation"}}},
             "'LidarObservation' of highway-env is not here",
         ),
-        ({"config": {"action": {"type": "MultiAgentAction"}}}, "'MultiAgentAction' .* there is one ego"),
-        ({"config": {"controlled_vehicles": 2}}, "there is one ego"),
+        ({"config": {"action": {"type": "MultiAgentAction"}}}, "'MultiAgentAction' needs 'action_config'"),
+        ({"config": {"controlled_vehicles": 2}}, "'MultiAgentAction' with an 'action_config'"),
     ],
 )
 def test_what_is_refused_is_named(choice: dict[str, Any], message: str) -> None:

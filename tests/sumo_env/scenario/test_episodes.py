@@ -363,7 +363,7 @@ def test_the_shares_of_the_route_add_up_to_one_on_arrival(town: Path, frequency:
     env.reset(seed=1)
     shares = []
     for _ in range(600 * frequency):
-        step = env._simulator.step(EgoCommand(None, None))  # SUMO drives
+        step = env._simulator.step({env.ego_id: EgoCommand(None, None)})  # SUMO drives
         shares.append(step.scene.place.progress)
         if step.scene.place.ended:
             break

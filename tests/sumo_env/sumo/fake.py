@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from sumo_env.config import ConfigError
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Step
+from sumo_env.simulator import EgoCommand, EgoStep, Step
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
@@ -42,7 +43,8 @@ class FakeSimulator:
             os.kill(os.getpid(), signal.SIGSEGV)
         return self.scene()
 
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+    def step(self, commands: Mapping[str, EgoCommand], trace: bool = False) -> Step:
+        command = commands["ego"]
         if self.seed == CONFIG_ERROR:
             raise ConfigError("a key that is not known")
         elif self.seed == FOREIGN_ERROR:
@@ -55,9 +57,8 @@ class FakeSimulator:
         self.time += 1.0
         self.x += command.target_speed
         scene = self.scene()
-        return Step(
-            scene, command.target_lane, None, np.inf, command.target_speed, (scene,) * 3 if trace else ()
-        )
+        ego = EgoStep(command.target_lane, None, np.inf, command.target_speed)
+        return Step(scene, {"ego": ego}, (scene,) * 3 if trace else ())
 
     def scene(self) -> Scene:
         count = len(self.ids)

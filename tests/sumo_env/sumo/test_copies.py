@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
-from sumo_env.simulator import EgoCommand, SimulatorError
+from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import TASKS
 from tests.processes import children, descriptors, ends
@@ -41,7 +41,7 @@ def begun() -> SumoProcess:
     simulator = SumoProcess(FAKE)
     simulator.reset(scenario(3))
     for _ in range(2):
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
     return simulator
 
 
@@ -108,9 +108,8 @@ def test_an_imagined_copy_has_the_past_and_another_future() -> None:
     assert len(set(endings)) > 1
     again = SumoProcess()  # an imagined episode is a scenario: driven from its start, it is the same
     again.reset(first.scenario)
-    for command in first._commands:
-        assert isinstance(command, EgoCommand)
-        step = again.step(command)
+    for commands in first._commands:
+        step = again.step(commands)
     np.testing.assert_array_equal(step.scene.x, first.scene.x)
 
 
@@ -131,8 +130,8 @@ def test_a_killed_copy_leaves_the_others_alone(begun: SumoProcess) -> None:
     twin = begun.clone()
     os.kill(twin.pid, signal.SIGKILL)
     with pytest.raises(SimulatorDied, match=r"is gone .*in step 3: an episode of highway"):
-        twin.step(COMMAND)
-    begun.step(COMMAND)
+        twin.step({"ego": COMMAND})
+    begun.step({"ego": COMMAND})
     assert twin.reset(scenario(4)).time == 0.0  # in a worker of its own
 
 
@@ -145,9 +144,9 @@ def test_a_killed_original_leaves_its_copies_alone(begun: SumoProcess) -> None:
     with pytest.raises(SimulatorDied, match="has ended"):
         begun.clone()
     third = twin.clone()
-    assert third.step(COMMAND).scene.time == twin.step(COMMAND).scene.time == 3.0
+    assert third.step({"ego": COMMAND}).scene.time == twin.step({"ego": COMMAND}).scene.time == 3.0
     twin.close()
-    assert third.step(COMMAND).scene.time == 4.0
+    assert third.step({"ego": COMMAND}).scene.time == 4.0
 
 
 def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,7 +162,7 @@ def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.Mon
             begun.clone()
     assert ends(pid)
     with pytest.raises(SimulatorDied, match="has ended"):
-        begun.step(COMMAND)
+        begun.step({"ego": COMMAND})
     begun.reset(scenario(3))
 
 
@@ -177,7 +176,7 @@ def test_copies_leave_no_process_and_no_descriptor(begun: SumoProcess) -> None:
         twin = begun.clone()
         pids.append(twin.pid)
         if number % 10 == 0:
-            twin.step(COMMAND)
+            twin.step({"ego": COMMAND})
         if number % 2:
             twin.close()  # the others are forgotten, as rl-agents' planners do
     del twin

@@ -25,7 +25,7 @@ def test_a_brake_event_brakes_and_ends(simulator: SumoSimulator, task: str) -> N
     simulator.reset(replace(scenario, vehicles=(other,), events=(event,), spawns=()))
     speeds, acting = [], []
     for _ in range(3):
-        step = simulator.step(EgoCommand(20.0, scenario.ego.lane), trace=True)
+        step = simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}, trace=True)
         speeds.append(step.scene.speed[1])
         acting += [scene.in_event for scene in step.trace]
     assert speeds[0] - speeds[1] == pytest.approx(5.0, abs=0.6)
@@ -51,8 +51,8 @@ def test_a_cut_in_takes_any_gap_but_needs_one(simulator: SumoSimulator, ahead: f
     other = scenario.vehicles[0]._replace(**place, changes_lanes=False)
     event = RiskEvent(0.5, other.id, "cut-in", direction=-1)
     simulator.reset(replace(scenario, vehicles=(other,), events=(event,)))
-    steps = [simulator.step(EgoCommand(25.0, scenario.ego.lane)) for _ in range(2)]
-    assert steps[0].crash is None and (steps[1].crash is not None) == happens
+    steps = [simulator.step({"ego": EgoCommand(25.0, scenario.ego.lane)}) for _ in range(2)]
+    assert steps[0].ego.crash is None and (steps[1].ego.crash is not None) == happens
     assert bool(abs(steps[1].scene.y[1]) < 2.0) == happens
 
 
@@ -68,7 +68,7 @@ def test_a_cut_in_takes_the_other_lane_where_the_first_has_no_room(simulator: Su
     for direction, others in ((1, pair), (1, pair[:1]), (-1, pair)):
         event = RiskEvent(0.0, first.id, "cut-in", direction=direction)
         simulator.reset(replace(scenario, vehicles=others, events=(event,)))
-        scene = simulator.step(EgoCommand(25.0, scenario.ego.lane)).scene
+        scene = simulator.step({"ego": EgoCommand(25.0, scenario.ego.lane)}).scene
         wanted = 8.0 if direction == 1 and len(others) == 1 else 0.0
         assert scene.y[1] == pytest.approx(wanted, abs=0.3)
 
@@ -80,7 +80,7 @@ def test_after_a_cut_in_lane_changes_are_sumo_s_again(simulator: SumoSimulator) 
     simulator.reset(replace(scenario, events=(event,)))
     modes = []
     for _ in range(3):
-        simulator.step(EgoCommand(20.0, scenario.ego.lane))
+        simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
         modes.append(libsumo.vehicle.getLaneChangeMode(name))
     assert modes == [COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, OWN_LANE_CHANGES]
 
@@ -90,7 +90,7 @@ def test_a_swerve_into_the_oncoming_lane_ends_in_the_own_lane(simulator: SumoSim
     other = scenario.vehicles[0]
     event = RiskEvent(0.0, other.id, "cut-in", direction=-1)
     simulator.reset(replace(scenario, vehicles=(other,), events=(event,)))
-    y = [simulator.step(EgoCommand(20.0, scenario.ego.lane)).scene.y[1] for _ in range(6)]
+    y = [simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}).scene.y[1] for _ in range(6)]
     assert y[1] == pytest.approx(0.0, abs=0.1)
     assert y[-1] == pytest.approx(4.0, abs=0.1)
 
@@ -105,7 +105,7 @@ def test_a_surge_accelerates_where_the_way_is_free(simulator: SumoSimulator, tas
     for vehicles, way in (((driver,), FREE_WAY), ((driver, ahead), FREE_WAY), ((driver, ahead), 10.0)):
         event = RiskEvent(0.0, driver.id, "surge", accel=4.0, duration=2.0, way=way)
         before = simulator.reset(replace(scenario, vehicles=vehicles, events=(event,))).speed[1]
-        gained.append(simulator.step(EgoCommand(9.0, scenario.ego.lane)).scene.speed[1] - before)
+        gained.append(simulator.step({"ego": EgoCommand(9.0, scenario.ego.lane)}).scene.speed[1] - before)
     assert gained[0] == pytest.approx(4.0, abs=0.5)
     assert gained[1] < 2.0 < gained[2]  # 15 m are enough for the last
 
@@ -122,7 +122,7 @@ def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
     for chosen in (events, ()):
         simulator.reset(replace(scenario, events=chosen))
         for _ in range(5):
-            step = simulator.step(EgoCommand(25.0, scenario.ego.lane))
+            step = simulator.step({"ego": EgoCommand(25.0, scenario.ego.lane)})
         assert step.scene.crashed.all()
         scenes.append(step.scene)
     np.testing.assert_array_equal(scenes[0].x, scenes[1].x)

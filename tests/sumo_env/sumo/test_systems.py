@@ -70,7 +70,7 @@ def test_a_worker_that_is_killed_is_named(no_inheritance: None) -> None:
         assert simulator.pid is not None
         os.kill(simulator.pid, signal.SIGKILL)
         with pytest.raises(SimulatorDied, match="was killed by SIGKILL"):
-            simulator.step(COMMAND)
+            simulator.step({"ego": COMMAND})
 
 
 def test_a_worker_that_dies_before_it_connects_is_named(
@@ -103,7 +103,7 @@ def test_who_does_not_know_the_key_is_not_answered(
     simulator = SumoProcess(FAKE)
     with closing(simulator):
         simulator.reset(scenario(3))
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
         for stranger in strangers:
             stranger.settimeout(5.0)
             assert stranger.recv(1) == b""
@@ -126,4 +126,4 @@ def test_a_signal_without_a_name_is_told_by_its_number() -> None:
         assert simulator.pid is not None
         os.kill(simulator.pid, signal.SIGRTMIN + 1)
         with pytest.raises(SimulatorDied, match=f"was killed by signal {signal.SIGRTMIN + 1}"):
-            simulator.step(COMMAND)
+            simulator.step({"ego": COMMAND})

@@ -53,18 +53,18 @@ def simulator() -> Iterator[SumoProcess]:
 
 def test_large_messages_travel(simulator: SumoProcess) -> None:
     assert len(simulator.reset(scenario(others=50_000))) == 50_001
-    step = simulator.step(COMMAND, trace=True)
+    step = simulator.step({"ego": COMMAND}, trace=True)
     assert len(step.trace) == 3 and len(step.trace[2]) == 50_001
 
 
 def test_a_step_needs_a_reset(simulator: SumoProcess) -> None:
     with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
 
 
 def test_what_the_simulator_prints_does_not_disturb(simulator, capfd) -> None:
     simulator.reset(scenario(PRINTS))
-    assert simulator.step(COMMAND).distance == COMMAND.target_speed
+    assert simulator.step({"ego": COMMAND}).ego.distance == COMMAND.target_speed
     assert capfd.readouterr() == ("SUMO says something\nand so does C++\n", "")
 
 
@@ -82,7 +82,7 @@ def test_an_error_is_told_with_its_place_and_the_worker_goes_on(simulator, seed,
     simulator.reset(scenario(seed))
     pid = simulator.pid
     with pytest.raises(error, match=message) as caught:
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
     assert "fake.py" in caught.value.__notes__[0]
     simulator.reset(scenario())
     assert simulator.pid == pid
@@ -99,19 +99,19 @@ def test_a_simulator_that_cannot_be_made_is_an_error_of_the_reset() -> None:
 
 def test_a_killed_worker_is_told_and_replaced(simulator: SumoProcess) -> None:
     simulator.reset(scenario(7))
-    simulator.step(COMMAND)
+    simulator.step({"ego": COMMAND})
     old = simulator.pid
     os.kill(old, signal.SIGKILL)
     with pytest.raises(
         SimulatorDied,
         match=r"killed by SIGKILL in step 2: an episode of highway \(scenario seed 7, risk 0.5\)",
     ):
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
     with pytest.raises(SimulatorDied, match=r"seed 7, risk 0.5\) has ended; call reset"):
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
     simulator.reset(scenario(8))
     assert simulator.pid != old
-    assert simulator.step(COMMAND).scene.time == 1.0
+    assert simulator.step({"ego": COMMAND}).scene.time == 1.0
 
 
 def test_a_scenario_that_kills_every_worker_is_an_error(simulator: SumoProcess) -> None:
@@ -126,7 +126,7 @@ def test_a_silent_worker_is_killed(simulator: SumoProcess) -> None:
     pid = simulator.pid
     simulator.timeout = 0.2  # [s]
     with pytest.raises(SimulatorDied, match=r"gave no answer for 0\.2 s in step 1"):
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
     assert not is_alive(pid)
 
 
@@ -136,10 +136,10 @@ def test_an_interrupted_step_ends_the_episode(simulator: SumoProcess) -> None:
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     with pytest.raises(KeyboardInterrupt):
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
     timer.join()
     with pytest.raises(SimulatorDied, match="has ended; call reset"):
-        simulator.step(COMMAND)
+        simulator.step({"ego": COMMAND})
     assert simulator.reset(scenario()).time == 0.0
 
 
@@ -174,7 +174,7 @@ def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:
         "simulators = [open_simulator() for _ in range(3)]\n"
         "for seed, simulator in enumerate(simulators):\n"
         "    simulator.reset(scenario(seed))\n"
-        "    simulator.step(COMMAND)\n"
+        "    simulator.step({'ego': COMMAND})\n"
         "print(*[one.pid for one in simulators[1:]], flush=True)\n" + script
     )
     return started(file, TMPDIR=str(tmp_path))
@@ -223,7 +223,7 @@ def test_the_first_is_in_this_process_and_further_ones_are_not() -> None:
     for seed, simulator in enumerate((second, first, third)):  # the order of resets counts
         simulator.reset(scenario(seed))
     assert [in_this_process(one) for one in (first, second, third)] == [False, True, False]
-    assert {one.step(COMMAND).scene.x[-1] for one in (second, first, third)} == {0.0, 1.0, 2.0}
+    assert {one.step({"ego": COMMAND}).scene.x[-1] for one in (second, first, third)} == {0.0, 1.0, 2.0}
 
 
 def test_closing_or_forgetting_the_first_frees_it() -> None:
@@ -254,7 +254,7 @@ def test_threads_do_not_share_it() -> None:
         list(pool.map(reset, range(len(simulators))))
     assert sum(in_this_process(one) for one in simulators) == 1
     for index, one in enumerate(simulators):
-        assert one.step(COMMAND).scene.x[-1] == index
+        assert one.step({"ego": COMMAND}).scene.x[-1] == index
 
 
 def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:
@@ -263,16 +263,16 @@ def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:
         tmp_path,
         "child = os.fork()\n"
         "if child == 0:\n"
-        "    try:\n        simulators[1].step(COMMAND)\n"
+        "    try:\n        simulators[1].step({'ego': COMMAND})\n"
         "    except RuntimeError as error:\n        print(error)\n"
         "    simulators[1].reset(scenario(40))\n"
         "    one = open_simulator()\n"
         "    one.reset(scenario(50))\n"
-        "    print(simulators[1].step(COMMAND).scene.x[-1], one.step(COMMAND).scene.x[-1])\n"
+        "    print(simulators[1].step({'ego': COMMAND}).scene.x[-1], one.step({'ego': COMMAND}).scene.x[-1])\n"
         "    print('here' if one.pid is None else 'in a worker')\n"
         "else:\n"
         "    print(os.waitpid(child, 0)[1])\n"
-        "    print([one.step(COMMAND).scene.time for one in simulators])\n",
+        "    print([one.step({'ego': COMMAND}).scene.time for one in simulators])\n",
     )
     workers = pids(script)
     with script:

@@ -28,13 +28,13 @@ def test_a_step_says_what_it_has_brought(simulator: SumoSimulator) -> None:
     scenario = draw("highway", 3)
     first = simulator.reset(scenario)
     assert first.ids[0] == "ego" and len(first) == 1 + len(scenario.vehicles) and first.time == 0.0
-    step = simulator.step(EgoCommand(30.0, scenario.ego.lane), trace=True)
+    step = simulator.step({"ego": EgoCommand(30.0, scenario.ego.lane)}, trace=True)
     assert [scene.time for scene in step.trace] == pytest.approx(np.arange(1, 11) / 10)
     assert step.trace[-1] is step.scene
     xs = [first.x[0], *(scene.x[0] for scene in step.trace)]
-    assert step.distance == pytest.approx(xs[-1] - xs[0], abs=0.01) and np.all(np.diff(xs) > 0.0)
-    assert step.target_lane == scenario.ego.lane and step.crash is None
-    assert simulator.step(EgoCommand(30.0, scenario.ego.lane)).trace == ()
+    assert step.ego.distance == pytest.approx(xs[-1] - xs[0], abs=0.01) and np.all(np.diff(xs) > 0.0)
+    assert step.ego.target_lane == scenario.ego.lane and step.ego.crash is None
+    assert simulator.step({"ego": EgoCommand(30.0, scenario.ego.lane)}).trace == ()
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -44,7 +44,9 @@ def test_looking_at_every_sub_step_changes_nothing(task: str, simulator: SumoSim
     for trace in (False, True):
         simulator.reset(scenario)
         for _ in range(4):
-            step = simulator.step(EgoCommand(scenario.ego.target_speed, scenario.ego.lane), trace=trace)
+            step = simulator.step(
+                {"ego": EgoCommand(scenario.ego.target_speed, scenario.ego.lane)}, trace=trace
+            )
         scenes.append(step.scene)
     first, second = scenes
     assert_same_bits(first, second)
@@ -72,7 +74,9 @@ def test_a_lane_change_crosses_the_line_when_highway_env_s_does(simulator: SumoS
     """There the ego crosses the line after 0.46 s, has moved 3.41 m after 1 s and is within 0.1 m after 1.7 s."""
     simulator.reset(alone(draw("highway", initial_lane_id=2)))
     command = EgoCommand(25.0, ("0", "1", 1))
-    y = np.array([scene.y[0] for _ in range(2) for scene in simulator.step(command, trace=True).trace])
+    y = np.array(
+        [scene.y[0] for _ in range(2) for scene in simulator.step({"ego": command}, trace=True).trace]
+    )
     assert np.argmax(y < 6.0) + 1 == 5  # tenths of a second
     assert 4.0 <= y[9] <= 8.0 - 3.41
     assert np.all(np.diff(y) <= 0.0) and np.all(np.abs(y[17:] - 4.0) < 0.1)
@@ -202,7 +206,7 @@ def test_a_vehicle_is_let_in_unless_another_is_within_15_metres(simulator: SumoS
         Spawn(4, sent._replace(id="later")),
     )
     simulator.reset(replace(scenario, vehicles=(), spawns=spawns))
-    seen = [simulator.step(EgoCommand(0.0, scenario.ego.lane)).scene.ids[1:] for _ in range(6)]
+    seen = [simulator.step({"ego": EgoCommand(0.0, scenario.ego.lane)}).scene.ids[1:] for _ in range(6)]
     assert seen == [(), (), ("first",), ("first",), ("first", "later"), ("first", "later")]
 
 
@@ -250,8 +254,8 @@ def test_the_doses_of_earlier_episodes_cost_nothing_and_change_nothing(simulator
         for dose in doses:
             simulator.reset(draw("u-turn", risk=dose))
             assert libsumo.vehicletype.getIDCount() < 30
-    scenes = [simulator.step(command).scene for _ in range(5)]
+    scenes = [simulator.step({"ego": command}).scene for _ in range(5)]
     simulator._session.forget()
     simulator.reset(draw("u-turn", risk=doses[-1]))
     for scene in scenes:
-        assert_same_bits(scene, simulator.step(command).scene)
+        assert_same_bits(scene, simulator.step({"ego": command}).scene)

@@ -5,10 +5,10 @@ Workers end when the process that started them ends.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from multiprocessing import parent_process, resource_tracker
@@ -20,6 +20,11 @@ from pebble import ProcessPool
 
 from experiments.study.compute.run import SPOILT, Attempt
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 TASKS_PER_PROCESS = 25  # then a fresh process takes over, so that whatever a simulator leaks is given back
 
 
@@ -27,12 +32,15 @@ def end_with_parent() -> None:
     """Let the kernel end this process when its parent ends, however that happens; for initialisers of process pools.
 
     multiprocessing gives every spawned process a pipe whose other end the parent holds. Its closing raises SIGIO, which
-    ends a process by default, in the middle of a compiler's long call into C as well: a thread that watched the parent
-    would wait there for the interpreter's lock.
+    ends a process by default, in the middle of a compiler's long call into C as well. Where the kernel cannot do so, as
+    on Windows, a thread watches the parent; after such a call, it waits for the interpreter's lock.
     """
     parent = parent_process()
     assert parent is not None
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if fcntl is None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+        return
     fcntl.fcntl(parent.sentinel, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(parent.sentinel, fcntl.F_SETFL, fcntl.fcntl(parent.sentinel, fcntl.F_GETFL) | os.O_ASYNC)
     if not parent.is_alive():  # it ended before
@@ -74,7 +82,7 @@ class LocalExecutor(Executor):
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function in one of the processes; to cancel the future kills the process."""
         # Ctrl-C reaches all processes of a terminal; those that are started from here leave it to their parent.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        before = _sigmask("SIG_BLOCK", {signal.SIGINT})
         try:
             try:
                 return self._pool.schedule(_call, args=[function, args, kwargs])
@@ -85,7 +93,7 @@ class LocalExecutor(Executor):
                 self._pool = self._open()
                 return self._pool.schedule(_call, args=[function, args, kwargs])
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            _sigmask("SIG_SETMASK", before)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes: after their tasks, or at once with `cancel_futures`."""
@@ -96,6 +104,12 @@ class LocalExecutor(Executor):
         # At once is short, and Python's own exit handlers fail on a pool that is closing.
         if wait or cancel_futures:
             self._pool.join()
+
+
+def _sigmask(how: str, signals: Iterable[int]) -> set[int]:
+    """`signal.pthread_sigmask`, where there is one."""
+    mask = getattr(signal, "pthread_sigmask", None)
+    return mask(getattr(signal, how), signals) if mask else set()
 
 
 def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:

@@ -1,0 +1,31 @@
+"""Highway: the agent changes lanes, and SUMO has the pedals (longitudinal: "sumo").
+
+Slow cars are in all lanes. Whoever finds the free ones gets further in 40 s, which is what is paid.
+After 10,000 steps the agent is not ahead of a constant action (docs/examples.md).
+"""
+
+from pathlib import Path
+
+from sumo_env.env import SumoDrivingEnv
+
+NETWORKS = Path(__file__).parent / "networks"
+CONFIG = {
+    "action": {"type": "DiscreteMetaAction", "longitudinal": "sumo"},
+    "observation": {"type": "LeadersFollowers"},
+    "warm_up": 60,
+    "duration": 40,
+    "progress_reward": 20,
+    "arrived_reward": 0,
+}
+
+
+def make(**keywords):
+    """The environment."""
+    files = NETWORKS / "highway.net.xml", NETWORKS / "highway.rou.xml"
+    return SumoDrivingEnv(*files, ["in", "road"], CONFIG, ego_type="ego", **keywords)
+
+
+if __name__ == "__main__":
+    from train import main
+
+    main("highway", make, "DQN", steps=10_000, gradient_steps=2)

@@ -1,0 +1,194 @@
+"""What stored records and tables look like: said here once, and asked wherever they are read.
+
+Checksums say that nothing has changed since somebody wrote a cell. These checks say that it is what this package
+writes: every column with its type and range, every scenario once, every name one that there is.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+import pandas as pd
+from pandas.api import types
+
+from agents.schema import Wrong, check, shortened
+from experiments.backends import SIMULATORS
+from experiments.study.design.arms import EVERY_ARM, gate_traffics
+from experiments.study.design.grid import LEARNER, cell_name
+from experiments.study.design.traffic import ALL, TRAFFICS
+from experiments.support.files import is_name
+from sumo_env.tasks import TASKS
+
+EPISODES, GATES = "episodes.parquet", "gates.parquet"
+ACTIONS = 5
+COUNT = range(1_000_000_000)
+KEY = {
+    **{"kind": ("agent", "baseline", "test"), "backend": tuple(SIMULATORS), "task": tuple(TASKS), "policy": str},
+    **{"arm": (None, *EVERY_ARM), "profile": dict, "env_config": dict, "dynamics": str | None},
+    "eval": {"episodes": COUNT[1:], "gate_episodes": COUNT, "first_scenario?": COUNT},
+}
+TEST = {"backend": tuple(SIMULATORS), "traffics": [tuple(ALL)], "episodes": COUNT[1:], "env_config": dict}
+NUMBERS = [int | float]
+RECORD = {
+    **{"schema": int, "key": KEY, "versions": dict, "files": {EPISODES: str}, "provenance?": {"packages?": dict}},
+    "timing?": {"finished?": str, "train_seconds?": int | float, "test_seconds?": int | float},
+    "learner?": {"curve?": {"step": NUMBERS, "return": NUMBERS, "crashed": NUMBERS}},
+}
+OF_AGENT = {"timing": {"finished": str}, "learner": dict}
+OF_Q = {"learner": {"probe_q": [[int | float | None]], "q_bound": int | float}}  # of one that has learnt Q-values
+
+
+class Column(NamedTuple):
+    """Of a table: type and range of its values, and whether they may be missing."""
+
+    type: str
+    low: float = -math.inf
+    high: float = math.inf
+    missing: bool = False
+
+
+MOST = 1e12  # any quantity of an episode is below
+TEXT, TRUTH, COUNTED = Column("str"), Column("bool"), Column("int64", 0)
+NUMBER, AMOUNT = Column("float64", -MOST, MOST), Column("float64", 0, MOST)
+OF_CRASH, TEXT_OF_CRASH = NUMBER._replace(missing=True), Column("str", missing=True)
+# Columns of episodes.parquet, one row a test episode.
+COLUMNS = {
+    "traffic": TEXT,  # "regular", "risky", or another of `traffic.ALL`
+    "scenario": COUNTED,  # number of the scenario, the same seed in both traffics
+    "return": NUMBER,  # undiscounted sum of rewards
+    "length": Column("int64", 1),  # policy steps
+    "crashed": TRUTH,
+    "arrived": TRUTH,
+    "truncated": TRUTH,  # the time limit ended it
+    "mean_speed": NUMBER,  # [m/s], mean over the steps
+    "distance": NUMBER,  # [m]
+    "min_ttc": Column("float64", 0),  # [s] smallest time-to-collision, inf if there was none
+    "near_misses": COUNTED,  # steps with a time-to-collision below 1.5 s and no crash
+    "density": AMOUNT,  # other vehicles within 200 m, mean over the steps
+    "stopped": Column("float64", 0, 1),  # share of the steps with less than 1 m/s
+    **{f"action_{number}": COUNTED for number in range(ACTIONS)},  # how often each action was chosen
+    "crash_time": AMOUNT._replace(missing=True),  # [s] since the start; this and the following only with a crash
+    "crash_other": TEXT_OF_CRASH,
+    "crash_x": OF_CRASH,  # [m] the ego's centre
+    "crash_y": OF_CRASH,
+    "crash_relative_x": OF_CRASH,  # [m] the other's centre in the ego's frame
+    "crash_relative_y": OF_CRASH,
+    "crash_relative_heading": OF_CRASH,  # [rad]
+    "crash_closing_speed": OF_CRASH,  # [m/s]
+    "crash_type": TEXT_OF_CRASH,
+    "crash_detected_by": TEXT_OF_CRASH,
+    "actions": TEXT_OF_CRASH,  # the actions one after the other, a digit each; cells of earlier versions lack them
+}
+# Columns of gates.parquet.
+JUDGED = ("traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses")
+GATE_COLUMNS = (*JUDGED, *(f"action_{number}" for number in range(ACTIONS)))
+NEEDED = {EPISODES: tuple(COLUMNS)[:-1], GATES: GATE_COLUMNS}
+IS_OF: dict[str, Callable[[Any], bool]] = {
+    "int": types.is_integer_dtype,
+    "uint": types.is_integer_dtype,
+    "float": types.is_numeric_dtype,
+    "bool": types.is_bool_dtype,
+    "str": lambda kind: types.is_string_dtype(kind) or types.is_object_dtype(kind),
+}
+
+
+def parsed(text: str | bytes) -> Any:
+    """A value of strict JSON. Raises ValueError, also for NaN, infinity, and what is nested too deeply."""
+
+    def refuse(word: str) -> NoReturn:
+        raise Wrong(f"it has the number {word}")
+
+    try:
+        return json.loads(text, parse_constant=refuse)
+    except RecursionError:
+        raise Wrong("it is nested too deeply") from None
+
+
+def check_record(name: str, record: Any) -> None:
+    """That this can be cell.json of the cell of this name. Raises Wrong, which names the entry."""
+    check(record, {"files": dict})
+    if wrong := [file for file, digest in record["files"].items() if not (is_name(file) and isinstance(digest, str))]:
+        raise Wrong(f"it names files elsewhere: {wrong[:3]}")
+    check(record, RECORD)
+    key = record["key"]
+    levels = list(TASKS[key["task"]].levels)
+    check(key, {"level_name": tuple(levels)}, "key")
+    check(key, {"level": (levels.index(key["level_name"]) + 1,)}, "key")
+    is_agent = key["kind"] != "baseline"
+    check(key, {"arm": tuple(EVERY_ARM) if is_agent else (None,), "seed": COUNT if is_agent else (None,)}, "key")
+    if key["kind"] == "test":
+        check(key, {"test_on": TEST}, "key")
+    elif "test_on" in key:
+        raise Wrong("key.test_on is for further tests alone")
+    if key["kind"] == "agent":
+        check(record, OF_AGENT)
+    if key["kind"] == "agent" and key["policy"] == LEARNER:
+        check(record, OF_Q)
+        if not record["learner"]["probe_q"] or any(len(row) != 3 for row in record["learner"]["probe_q"]):
+            raise Wrong("learner.probe_q must have rows of three values")
+    if (own := cell_name(key, record["versions"])) != name:
+        raise Wrong(f"its content is that of {own}")
+
+
+def check_columns(table: pd.DataFrame, columns: Mapping[str, Column], needed: Iterable[str]) -> None:
+    """That columns are there, with values of their types and ranges. Raises Wrong, with the row and the column."""
+    for name in needed:
+        if name not in table:
+            raise Wrong(f"it has no column {name!r}")
+    for name, column in columns.items():
+        if name not in table:
+            continue
+        values, absent = table[name], table[name].isna()
+        kind = column.type.rstrip("0123456789")
+        if not (IS_OF[kind](values.dtype) or (column.missing and absent.all())):
+            raise Wrong(f"column {name!r} must be of type {column.type}, not {values.dtype}")
+        if values.dtype == object and kind == "str":
+            _all(values.map(lambda value: isinstance(value, str)) | absent, f"column {name!r} has {{}}", values)
+        good = values.between(column.low, column.high) if kind in ("int", "float") else ~absent
+        _all(good | (absent & column.missing), f"column {name!r} has {{}}", values)
+
+
+def check_episodes(file: str, table: pd.DataFrame) -> None:
+    """That episodes.parquet and gates.parquet can be what tests have written; all others pass. Raises Wrong."""
+    if file not in NEEDED:
+        return
+    check_columns(table, COLUMNS, NEEDED[file])
+    counted, length = table[list(GATE_COLUMNS[-ACTIONS:])].sum(axis=1), table["length"]
+    _all(counted == length, "has {} actions, and its length is another number", counted)
+    _all(table["near_misses"] <= length, "has {} near misses, more than steps", table["near_misses"])
+    if file == EPISODES:
+        _all(table["crash_time"].notna() == table["crashed"], "crash_time {} does not fit crashed", table["crash_time"])
+    if "actions" in table:
+        told = table["actions"].fillna("")
+        fits = (told.str.len() == length) & told.str.fullmatch("[0-4]*")
+        _all(fits | table["actions"].isna(), "actions {} are not one digit a step", told)
+
+
+def _all(good: pd.Series, message: str, values: pd.Series) -> None:
+    if not good.all():
+        row = int(np.flatnonzero(~good.to_numpy(dtype=bool))[0])
+        [value] = values.iloc[row : row + 1].tolist()
+        raise Wrong(f"row {row}: {message.format(shortened(value))}")
+
+
+def check_rows(key: Mapping[str, Any], file: str, table: pd.DataFrame) -> None:
+    """That a cell's table has each of its scenarios once, in each of its traffics. Raises Wrong, with the scenario."""
+    if file == EPISODES:
+        asked = {"traffics": TRAFFICS, "episodes": key["eval"]["episodes"], **(key.get("test_on") or {})}
+    elif file == GATES:
+        asked = {"traffics": gate_traffics(key["arm"]), "episodes": key["eval"]["gate_episodes"]}
+    else:
+        return
+    first = key["eval"].get("first_scenario", 0)
+    wanted = {(traffic, first + k) for traffic in asked["traffics"] for k in range(asked["episodes"])}
+    found = list(zip(table["traffic"].tolist(), table["scenario"].tolist(), strict=True))
+    if len(found) != len(wanted) or set(found) != wanted:
+        odd = sorted(wanted.symmetric_difference(found) or {row for row in found if found.count(row) > 1})
+        raise Wrong(
+            f"it has {len(found)} rows, and its record asks for {len(wanted)}: look at scenario {odd[0][1]} in "
+            f"{odd[0][0]} traffic"
+        )

@@ -1,0 +1,225 @@
+"""Several learning cars as PettingZoo's `ParallelEnv` (extra ``[multi-agent]``): see docs/several-cars.md."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
+
+import gymnasium as gym
+
+from sumo_env.config import Config, ConfigError
+from sumo_env.env import VARIED, DrivingEnv
+from sumo_env.networks import files
+from sumo_env.several import REPLICA, Cars, Seen, asked
+from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import Task
+from sumo_env.tasks.network import NetworkTask
+from sumo_env.traffic.scenario import Origin, Scenario
+
+try:
+    from pettingzoo import ParallelEnv
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "several learning cars need PettingZoo, which is not installed: "
+        "pip install 'sumo-risky-driving[multi-agent]'",
+        name=error.name,
+    ) from None
+
+
+class FleetTask(NetworkTask):
+    """Vehicles of SUMO's files that are learning cars.
+
+    Args:
+        network, routes, additional: as of `sumo_env.env.SumoDrivingEnv`.
+        vehicles: ids of vehicles of the files.
+        vehicle_type: in place of ids, the type of the learning cars.
+        max_cars: with a type, how many of those that depart are learning cars; SUMO drives later ones.
+    """
+
+    def __init__(
+        self,
+        network: str | Path,
+        routes: Any = (),
+        *,
+        additional: Any = (),
+        vehicles: Sequence[str] = (),
+        vehicle_type: str = "",
+        max_cars: int = 0,
+    ) -> None:
+        if bool(vehicles) == bool(vehicle_type) or bool(vehicle_type) != (max_cars > 0):
+            raise ConfigError(
+                "learning cars are either vehicles=[ids of the files] or vehicle_type='a type of the files' with "
+                "max_cars, at most how many there are in an episode"
+            )
+        self.ids, self.vehicle_type = tuple(vehicles), vehicle_type
+        self.max_cars = max_cars or len(vehicles)
+        super().__init__(network, routes, additional=additional)
+        for vehicle in self.ids:
+            self._contents.check_vehicle(vehicle)
+        self.ego_id = self.ids[0] if self.ids else self.ego_id
+
+    def _take_ego(self, *arguments: Any) -> tuple[Origin, ...]:
+        return (Origin(),)
+
+    def scenario(self, config: Config, seed: int) -> Scenario:
+        """See `NetworkTask.scenario`."""
+        drawn = super().scenario(config, seed)
+        assert drawn.traffic is not None
+        traffic = replace(drawn.traffic, car_type=self.vehicle_type, max_cars=self.max_cars)
+        return replace(drawn, traffic=traffic, further=self.ids[1:])
+
+
+class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
+    """Learning cars ``car_0``, ``car_1`` ..., each with the spaces, rewards and ``info`` of `DrivingEnv`.
+
+    An agent leaves `agents` when its car has crashed or arrived, and all leave when time is up. Then SUMO drives the
+    car on (on the replica it keeps its speed and lane); a crashed car stops and stays as an obstacle.
+
+    Attributes:
+        possible_agents: all agents that there can be.
+        agents: those that act in the next step.
+        cars: the environments of the agents, to be read: ``env.cars["car_1"].ego_state``. Their `hand_over` lets SUMO
+            drive a car.
+    """
+
+    metadata: dict[str, Any] = {**DrivingEnv.metadata, "name": "sumo_env", "is_parallelizable": True}  # noqa: RUF012
+
+    def __init__(self, cars: Cars, render_mode: str | None = None, remove_crashed: bool = False) -> None:
+        """remove_crashed: whether crashed cars leave the road."""
+        self._cars, self.render_mode, self._removes = cars, render_mode, remove_crashed
+        self.possible_agents = [f"car_{number}" for number in range(len(cars.envs))]
+        self.cars = dict(zip(self.possible_agents, cars.envs, strict=True))
+        self.agents: list[str] = []
+        # highway-env has one reward and one end, those of the first car, where it does not have one for each
+        self._follows_first = cars.first.steers and not cars.first.task.shares_reward
+
+    @property
+    def ids(self) -> dict[str, str]:
+        """Ids in SUMO and in scenes of the cars that have come in this episode, by agents."""
+        return {self.possible_agents[number]: name for name, number in self._cars.numbers.items()}
+
+    def observation_space(self, agent: str) -> gym.spaces.Space[Any]:
+        """Of an agent."""
+        return self.cars[agent].observation_space
+
+    def action_space(self, agent: str) -> gym.spaces.Space[Any]:
+        """Of an agent."""
+        return self.cars[agent].action_space
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Start an episode, see `DrivingEnv.reset`."""
+        known = {
+            key: value for key, value in (options or {}).items() if key in ("config", "scenario", *VARIED)
+        }
+        if unknown := (options or {}).keys() - known.keys():  # PettingZoo's own test gives some
+            gym.logger.warn(f"options without effect: {', '.join(sorted(unknown))}")
+        return self._enter(self._cars.reset(seed, known), [])
+
+    def _enter(self, seen: Mapping[int, Seen], staying: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Let cars in beside agents that stay."""
+        come = {self.possible_agents[number]: one for number, one in sorted(seen.items())}
+        self.agents = [agent for agent in self.possible_agents if agent in staying or agent in come]
+        return {agent: one[0] for agent, one in come.items()}, {agent: one[1] for agent, one in come.items()}
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Drive one policy step.
+
+        Returns:
+            observations, rewards, terminations, truncations and ``info`` of the agents that have acted, and of those
+            that have come (with reward 0).
+
+        Raises:
+            ValueError: not one action for each of `agents`.
+        """
+        if actions.keys() != set(self.agents):
+            raise ValueError(f"actions must be those of {self.agents}, not of {sorted(actions)}")
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        numbers = {agent: self.possible_agents.index(agent) for agent in self.agents}
+        results, come = self._cars.step({numbers[agent]: actions[agent] for agent in self.agents})
+        found = {agent: results[number] for agent, number in numbers.items()}
+        observations = {agent: result[0] for agent, result in found.items()}
+        infos = {agent: result[4] for agent, result in found.items()}
+        truncations = {agent: any(result[3] for result in found.values()) for agent in found}
+        rewards = {agent: result[1] for agent, result in found.items()}
+        ends = {agent: result[2] for agent, result in found.items()}
+        if self._follows_first:
+            _, reward, end, _, _ = results[0]
+            rewards = dict.fromkeys(found, reward)
+            ends = {agent: end or self.cars[agent].ego_state.crashed for agent in found}
+        for agent, number in numbers.items():
+            if self._removes and self.cars[agent].ego_state.crashed:
+                self._cars.remove(number)
+        first, informed = self._enter(
+            come, [agent for agent in found if not (ends[agent] or truncations[agent])]
+        )
+        for agent in first:
+            rewards[agent], ends[agent], truncations[agent] = 0.0, False, False
+        return observations | first, rewards, ends, truncations, infos | informed
+
+    def render(self) -> Any:
+        """The scene, see `DrivingEnv.render`."""
+        return self._cars.first.render()
+
+    def close(self) -> None:
+        """Close the simulator and the window."""
+        self._cars.first.close()
+
+
+def parallel_env(
+    env: str | Path | Task,
+    config: Mapping[str, Any] | None = None,
+    *,
+    render_mode: str | None = None,
+    remove_crashed: bool = False,
+    **keywords: Any,
+) -> ParallelDrivingEnv:
+    """Several learning cars in one simulation, as PettingZoo's ``ParallelEnv``.
+
+        env = sumo_env.parallel_env("sumo/highway-v0", {"controlled_vehicles": 3})
+        env = sumo_env.parallel_env("town.sumocfg", vehicles=["taxi7", "taxi9"])
+        env = sumo_env.parallel_env("town.sumocfg", vehicle_type="taxi", max_cars=8)
+
+    Args:
+        env: an id such as ``"sumo/highway-v0"`` or ``"replica/intersection-v1"``, the name of a task, a task of your
+            own, or a file of SUMO as of `sumo_env.env.SumoDrivingEnv`.
+        config: keys of the configuration to change, for all cars; ``controlled_vehicles`` says how many cars there are.
+        render_mode: None, ``"rgb_array"`` or ``"human"``.
+        remove_crashed: whether crashed cars leave the road; not on the replica.
+        keywords: of the environment of one car; with a file ``routes``, ``additional``, and either ``vehicles``, or
+            ``vehicle_type`` and ``max_cars`` (`FleetTask`).
+
+    Raises:
+        ConfigError: as of `DrivingEnv`; no or too many learning cars.
+    """
+    make: Any = DrivingEnv
+    if not isinstance(env, Task) and files.is_file(str(env)):
+        parts = ("routes", "additional", "vehicles", "vehicle_type", "max_cars")
+        fleet = FleetTask(env, **{name: keywords.pop(name) for name in parts if name in keywords})
+        if "controlled_vehicles" in (config or {}):
+            raise ConfigError("on a network of your own 'max_cars' says how many learning cars there are")
+        config, env = {**(config or {}), "controlled_vehicles": fleet.max_cars}, fleet
+    elif isinstance(env, str) and env not in TASKS:
+        spec = gym.spec(env)
+        if not str(spec.entry_point).startswith("sumo_env.several:"):
+            raise ConfigError(f"{env!r} is not an environment of sumo_env")
+        keywords = {**{key: value for key, value in spec.kwargs.items() if key != "per_car"}, **keywords}
+        env = keywords.pop("task")
+        if spec.entry_point == "sumo_env.several:make_replica":
+            make = resolve_name(REPLICA)
+    if make is not DrivingEnv and remove_crashed:
+        raise ConfigError("remove_crashed: crashed cars stay on the road on highway-env's physics")
+    given = asked(config, keywords.pop("cars", 1))
+
+    def one(config: Config, render_mode: str | None) -> DrivingEnv:
+        made: DrivingEnv = make(env, config, render_mode, **keywords)
+        return made
+
+    return ParallelDrivingEnv(Cars(one, given.config, given.cars, render_mode), render_mode, remove_crashed)

@@ -1,0 +1,305 @@
+"""Several learning cars in one simulation: each has the observation, the reward and the end of a `DrivingEnv`.
+
+`Cars` composes them. `TupleEnv` is a gymnasium environment of them, as highway-env's with ``MultiAgentAction`` and
+``MultiAgentObservation``; `sumo_env.parallel` is PettingZoo's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pkgutil import resolve_name
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+from gymnasium import spaces
+
+from sumo_env.config import Config, ConfigError
+from sumo_env.env import DrivingEnv
+from sumo_env.scene import Scene
+from sumo_env.tasks.base import Task
+from sumo_env.traffic.scenario import Scenario
+
+Make = Callable[[Config, str | None], DrivingEnv]  # of a configuration and a render mode
+Seen = tuple[Any, dict[str, Any]]  # what `DrivingEnv.reset` returns
+Result = tuple[Any, float, bool, bool, dict[str, Any]]  # what `DrivingEnv.step` returns
+REPLICA = "sumo_env.replica.env:ReplicaEnv"
+SHARED = {"action": "MultiAgentAction", "observation": "MultiAgentObservation"}  # highway-env's types
+
+
+class Asked(NamedTuple):
+    """What a configuration of several learning cars says."""
+
+    config: Config  # of each car
+    cars: int
+    shared: dict[str, bool]  # whether actions, and observations, are tuples
+
+
+def asked(config: Mapping[str, Any] | None, cars: int = 1) -> Asked:
+    """The parts of a configuration; cars: how many there are unless it says so.
+
+    Raises:
+        ConfigError: the number of cars makes no sense.
+    """
+    plain = dict(config or {})
+    count = plain.pop("controlled_vehicles", cars)
+    if not isinstance(count, int) or count < 1:
+        raise ConfigError(f"'controlled_vehicles' must be a whole number from 1 on, not {count!r}")
+    shared = {}
+    for key, kind in SHARED.items():
+        entry = plain.get(key)
+        shared[key] = cars > 1 if entry is None else isinstance(entry, Mapping) and entry.get("type") == kind
+        if entry is not None and shared[key]:
+            if f"{key}_config" not in entry:
+                raise ConfigError(
+                    f"the {key} type {kind!r} needs '{key}_config', the {key} of each car, not {entry!r}"
+                )
+            plain[key] = entry[f"{key}_config"]
+    return Asked(plain, count, shared)
+
+
+class Cars:
+    """Learning cars of one simulation.
+
+    Attributes:
+        envs: of the cars; the first one holds the simulator and draws the traffic. All share one random generator.
+        numbers: of the cars of this episode, by their ids in the scene.
+        steps: policy steps of this episode.
+    """
+
+    def __init__(self, make: Make, config: Config, count: int, render_mode: str | None = None) -> None:
+        """make: makes the environment of a car."""
+        self.envs = [make(config, None if number else render_mode) for number in range(count)]
+        self.first = self.envs[0]
+        self.first.cars = count
+        self.numbers: dict[str, int] = {}
+        self.steps = 0
+        self._scenario: Scenario
+        self._scene: Scene  # all cars
+        self._here: set[str] = set()  # cars that have come
+        self._leaving: list[str] = []
+
+    def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> dict[int, Seen]:
+        """Start an episode; returns what the cars see that are there, by their numbers."""
+        given = dict(options or {})
+        if config := given.pop("config", None):
+            for env in self.envs:
+                env.configure(config)
+        self._scenario, scene = scenario, _ = self.first._start(seed, given)
+        by_type = scenario.traffic is not None and scenario.traffic.car_type
+        known = () if by_type else (scenario.ego.id, *scenario.further)
+        self.numbers = {name: number for number, name in enumerate(known)}
+        self._here, self._leaving, self.steps = set(), [], 0
+        self._scene = self.first.scene = scene
+        return self._newcomers(scene)
+
+    def step(self, actions: Mapping[int, Any]) -> tuple[dict[int, Result], dict[int, Seen]]:
+        """Drive one policy step by the actions of cars, by their numbers.
+
+        Returns:
+            the results of these cars, and what cars see that have come.
+        """
+        if self.first.scenario is None or self.first._simulator is None:
+            raise gym.error.ResetNeeded("call reset() before step()")
+        ids = {number: name for name, number in self.numbers.items()}
+        commands = {number: self.envs[number]._command(action) for number, action in actions.items()}
+        leaving, self._leaving = dict.fromkeys(self._leaving), []
+        self.first.scene = self._scene
+        step = self.first._drive({ids[number]: command for number, command in commands.items()} | leaving)
+        self.steps, self._scene = self.steps + 1, step.scene
+        results = {}
+        for number, command in commands.items():
+            name, env = ids[number], self.envs[number]
+            self._let_see(env, name)
+            results[number] = env._after(actions[number], command, step.scene.seen_by(name), step.egos[name])
+        if 0 not in actions:
+            self.first.scene = step.scene
+        come = self._newcomers(step.scene)
+        self.first._follow_up()
+        return results, come
+
+    def remove(self, number: int) -> None:
+        """Take a car off the road at the beginning of the next step."""
+        self._leaving += [name for name, known in self.numbers.items() if known == number]
+
+    def _newcomers(self, scene: Scene) -> dict[int, Seen]:
+        """What cars see that have come."""
+        come = [name for name in scene.ids[: scene.cars] if name not in self._here]
+        self._here.update(come)
+        numbers = [self.numbers.setdefault(name, len(self.numbers)) for name in come]
+        return {number: self._begin(name, number, scene) for name, number in zip(come, numbers, strict=True)}
+
+    def _begin(self, name: str, number: int, scene: Scene) -> Seen:
+        env, first, scenario = self.envs[number], self.first, self._scenario
+        spec = next((spec for spec in scenario.cars if spec.id == name), scenario.ego._replace(id=name))
+        if env is not first:
+            env.np_random = first.np_random
+        self._let_see(env, name)
+        seen = env._begin(replace(scenario, ego=spec), scene.seen_by(name))
+        if scenario.traffic is None:
+            env._spec_of = first._spec_of  # to which arrivals are added
+        env.steps = self.steps
+        return seen
+
+    def _let_see(self, env: DrivingEnv, name: str) -> None:
+        """Show the environment of a car the simulator's state, where it reads more than scenes."""
+        simulator: Any = self.first._simulator
+        if env is not self.first and hasattr(simulator, "seen_by"):
+            vars(env)["replica"] = simulator.seen_by(name)
+
+
+class TupleEnv(gym.Env[Any, Any]):
+    """A task with several learning cars, as highway-env has it: actions are tuples, and so are observations.
+
+    Reward and end are highway-env's: those of the first car, or at the intersection the mean of all rewards, and an end
+    as soon as one car has crashed or all have arrived. ``info`` is the first car's, with ``agents_rewards`` and
+    ``agents_terminated``. Other attributes are those of the first car's environment.
+
+    Args:
+        make: makes the environment of a car.
+        given: what the configuration says.
+        render_mode: None, ``"rgb_array"`` or ``"human"``.
+        per_car: whether `step` returns ``agents_rewards`` and ``agents_terminated`` as the reward and the end.
+
+    Raises:
+        ConfigError: actions are no tuples.
+    """
+
+    metadata = DrivingEnv.metadata
+
+    def __init__(self, make: Make, given: Asked, render_mode: str | None, per_car: bool = False) -> None:
+        if not given.shared["action"]:
+            raise ConfigError(
+                "several learning cars need the action type 'MultiAgentAction' with an 'action_config', whose actions "
+                "are tuples; sumo_env.parallel_env makes PettingZoo's environments (docs/several-cars.md)"
+            )
+        self.cars = Cars(make, given.config, given.cars, render_mode)
+        self.render_mode, self._sees_all, self._per_car = render_mode, given.shared["observation"], per_car
+        self._set_spaces()
+
+    def _set_spaces(self) -> None:
+        envs = self.cars.envs
+        self.action_space = spaces.Tuple([env.action_space for env in envs])
+        seen = [env.observation_space for env in envs]
+        self.observation_space = spaces.Tuple(seen) if self._sees_all else seen[0]
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "cars":
+            raise AttributeError(name)
+        return getattr(self.cars.first, name)
+
+    @property
+    def controlled_vehicles(self) -> list[Any]:
+        """The learning cars, as ``env.unwrapped.vehicle`` shows the first one."""
+        return [env.vehicle for env in self.cars.envs]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode, see `DrivingEnv.reset`.
+
+        Raises:
+            ConfigError: as there; another number of cars.
+        """
+        given, count = dict(options or {}), len(self.cars.envs)
+        if "config" in given:
+            changed = asked(given["config"], count)
+            if changed.cars != count:
+                raise ConfigError("reset cannot change 'controlled_vehicles': make another environment")
+            given["config"] = changed.config
+        super().reset(seed=seed)
+        seen = self.cars.reset(seed, given)
+        self._np_random = self.cars.first._np_random
+        self._set_spaces()
+        return self._observed(seen), self._informed(seen[0][1])
+
+    def step(self, action: Any) -> tuple[Any, Any, Any, bool, dict[str, Any]]:
+        """Drive one policy step.
+
+        Raises:
+            ValueError: not one action for each car.
+        """
+        count = len(self.cars.envs)
+        if not isinstance(action, tuple | list) or len(action) != count:
+            raise ValueError(f"{count} learning cars need a tuple of {count} actions, not {action!r}")
+        results, _ = self.cars.step(dict(enumerate(action)))
+        _, reward, end, truncated, info = results[0]
+        info = self._informed(info, action)
+        if self._per_car:
+            return self._observed(results), info["agents_rewards"], info["agents_terminated"], truncated, info
+        first = self.cars.first
+        if first.task.shares_reward:
+            states = [env.ego_state for env in self.cars.envs]
+            is_off = bool(first.config["offroad_terminal"]) and not states[0].on_road
+            reward = sum(info["agents_rewards"]) / count
+            end = any(state.crashed for state in states) or all(map(first.task.arrived, states)) or is_off
+        return self._observed(results), reward, end, truncated, info
+
+    def _observed(self, seen: Mapping[int, tuple[Any, ...]]) -> Any:
+        return tuple(seen[number][0] for number in range(len(seen))) if self._sees_all else seen[0][0]
+
+    def _informed(self, info: dict[str, Any], action: Any = None) -> dict[str, Any]:
+        """The first car's ``info`` with what belongs to all cars; the action is None at a reset."""
+        envs = self.cars.envs
+        actions = [None] * len(envs) if action is None else action
+        states = [env.ego_state for env in envs]
+        together: dict[str, Any] = {
+            "agents_rewards": tuple(float(env._reward(one)) for env, one in zip(envs, actions, strict=True)),
+            "agents_terminated": tuple(state.crashed or envs[0].task.arrived(state) for state in states),
+        }
+        if envs[0].task.shares_reward:
+            terms = [env._rewards(one) for env, one in zip(envs, actions, strict=True)]
+            together["rewards"] = {
+                name: sum(float(term[name]) for term in terms) / len(terms) for name in terms[0]
+            }
+        return info | together | ({} if action is None else {"action": action})
+
+    def render(self) -> Any:
+        """See `DrivingEnv.render`."""
+        return self.cars.first.render()
+
+    def close(self) -> None:
+        """Close the simulator and the window."""
+        self.cars.first.close()
+
+
+# -- gymnasium -----------------------------------------------------------------------------------------------------
+
+
+def make(
+    task: str | Task,
+    config: Mapping[str, Any] | None = None,
+    render_mode: str | None = None,
+    *,
+    cars: int = 1,
+    per_car: bool = False,
+    on: str = "sumo_env.env:DrivingEnv",
+    **keywords: Any,
+) -> DrivingEnv | TupleEnv:
+    """What ``gymnasium.make`` makes of an id: the environment of one car, or of several by the configuration.
+
+    Args:
+        task, config, render_mode: as of `DrivingEnv`.
+        cars: learning cars, unless the configuration says how many; if there are more, actions are tuples.
+        per_car: see `TupleEnv`.
+        on: class of the environment of a car.
+        keywords: of that environment.
+    """
+    given, make_one = asked(config, cars), resolve_name(on)
+    if given.cars == 1 and not any(given.shared.values()):
+        alone: DrivingEnv = make_one(task, config, render_mode, **keywords)
+        return alone
+
+    def one(config: Config, render_mode: str | None) -> DrivingEnv:
+        made: DrivingEnv = make_one(task, config, render_mode, **keywords)
+        return made
+
+    return TupleEnv(one, given, render_mode, per_car)
+
+
+def make_replica(*arguments: Any, **keywords: Any) -> DrivingEnv | TupleEnv:
+    """Likewise on highway-env's physics."""
+    return make(*arguments, on=REPLICA, **keywords)
+
+
+make.metadata = make_replica.metadata = DrivingEnv.metadata  # type: ignore[attr-defined]

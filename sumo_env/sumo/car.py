@@ -1,0 +1,84 @@
+"""A learning car of an episode in SUMO: who drives it, what is near it, and what it meets in a policy step."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from math import inf
+from typing import Any, Generic, TypeVar
+
+from sumo_env.contacts.crash import CrashDetector, CrashRecord, record
+from sumo_env.contacts.measures import HORIZON
+from sumo_env.networks.meeting import Meeting
+from sumo_env.simulator import EgoCommand, EgoStep
+from sumo_env.sumo.ego import Ego
+from sumo_env.sumo.route_ego import RouteEgo
+from sumo_env.sumo.session import Session
+from sumo_env.sumo.surroundings import Surroundings
+
+Driven = TypeVar("Driven", bound=Ego | RouteEgo)
+BY_SUMO = EgoCommand(None, None)
+
+
+class Car(Generic[Driven]):
+    """One learning car.
+
+    Attributes:
+        ego: drives it.
+        around: what is near it.
+        is_commanded: whether it has a command for this policy step; else SUMO drives it.
+        distance: covered in this policy step [m].
+    """
+
+    def __init__(self, session: Session, name: str, ego: Driven, meeting: Meeting | None) -> None:
+        """See `Surroundings`."""
+        self.name, self.ego, self.is_commanded = name, ego, False
+        self.around = Surroundings(session, ego.speed, meeting, ego=name)
+        self._session, self._detector = session, CrashDetector()
+        self._least_ttc, self.distance = inf, 0.0
+
+    def obey(self, command: Any) -> None:
+        """Begin a policy step."""
+        self.is_commanded = command is not None
+        self.ego.obey(command or BY_SUMO)
+        self.around.take_stock()
+        self._least_ttc, self.distance = inf, 0.0
+
+    def look(self, time: float, dt: float, reported: Sequence[tuple[str, str]]) -> CrashRecord | None:
+        """Look around after the sub-step of `dt` [s] that ended at `time` [s]; its first crash if it was in this one.
+
+        reported: pairs of vehicles that SUMO reports in collision.
+        """
+        around, detector, name, ego = self.around, self._detector, self.name, self.ego
+        seen, before = around.ego, around.near
+        around.look(time, ego.speed)
+        partners: Collection[str] = ()  # whom SUMO reports in collision with this car
+        if reported:
+            partners = {one if other == name else other for one, other in reported if name in (one, other)}
+        ids, found = around.within_reach(seen, before, dt, partners), None
+        if ids or reported or detector.reported:
+            crash = detector.look(
+                time,
+                dt,
+                (name, *ids),
+                (seen, *[before[other] for other in ids]),
+                (around.ego, *[around.near[other] for other in ids]),
+                partners,
+                self._session.halves((name, *ids)),
+            )
+            if crash is not None and not ego.crashed:
+                ego.crashed, found = True, crash
+        if around.near and not ego.crashed:
+            least = self._least_ttc
+            self._least_ttc = min(least, around.time_to_collision(min(least, HORIZON)))
+        return found
+
+    def be_hit(self, other: Car[Driven], crash: CrashRecord) -> None:
+        """Another learning car has touched this one; the contact is this car's first one, unless it had one."""
+        if not self.ego.crashed:
+            self.ego.crashed = True
+            states = self.around.ego, other.around.ego
+            self._detector.crash = record(*states, other.name, crash.time, crash.detected_by)
+
+    def met(self) -> EgoStep:
+        """The result of a policy step."""
+        return EgoStep(self.ego.target_lane, self._detector.crash, self._least_ttc, self.distance)

@@ -1,0 +1,166 @@
+"""What files of SUMO must not hold, whoever wrote them: looked for before SUMO reads them, named by file and line.
+
+SUMO takes a number that is none for a number, opens connections that an output names, and ends the process where a
+network has detectors, or a file includes itself. Outputs themselves are harmless: `settings.file_settings` says where
+they go.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import stat
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+from sumo_env.config import ConfigError
+from sumo_env.traffic.sumo_files import INPUTS
+
+# Elements of additional files that end the process when they stand in a network.
+NOT_IN_NETWORKS = {
+    *("edgeData", "laneData", "e1Detector", "inductionLoop", "instantInductionLoop", "e2Detector"),
+    *("laneAreaDetector", "e3Detector", "include", "entryExitDetector", "routeProbe", "vTypeProbe"),
+    *("calibrator", "rerouter", "timedEvent", "variableSpeedSign"),
+}
+FLOWS = {"flow", "personFlow", "containerFlow"}
+DAY = 86400.0  # [s] after which a flow ends that names no end
+MOST = 100.0  # departures of a flow [1/s]; a lane takes less than one
+DEEPEST = 50  # elements in each other; SUMO's own are ten at most
+LARGEST = 1e9  # of any number: seconds, metres, m/s
+# Attributes that are numbers, or words, or numbers among words such as normc(1, 0.1).
+NUMBERS = {
+    *("accel", "decel", "emergencyDecel", "apparentDecel", "maxSpeed", "desiredMaxSpeed"),
+    *("speedFactor", "speedDev", "tau", "minGap", "length", "width", "height", "sigma", "impatience"),
+    *("actionStepLength", "mass", "speed", "depart", "departPos", "departSpeed", "departPosLat"),
+    *("arrivalPos", "period", "arrivalSpeed", "begin", "end", "number", "probability", "vehsPerHour"),
+    *("perHour", "duration", "until", "startPos", "endPos", "pos", "freq", "shape", "repeat", "x", "y"),
+    *("z", "friction"),
+}
+POSITIVE = {"lane": {"width", "length"}, "vType": {"length", "width", "accel", "decel", "maxSpeed"}}
+WORDS = re.compile(r"[^\s,;:()]+")
+SUSPECT = re.compile(
+    r"nan|inf|e\+?\d\d|(?<![\d.])\d{10}|0x", re.IGNORECASE
+)  # the others are numbers as they should be
+
+
+def check_files(options: Mapping[str, str]) -> None:
+    """That the files of SUMO's options hold nothing that harms.
+
+    Raises:
+        ConfigError: the file and the line, what is there, and why it is refused.
+    """
+    for option in set(INPUTS).intersection(options):
+        is_network = option == "net-file"  # one file, whose name may have commas; lists have links without
+        for name in [options[option]] if is_network else options[option].split(","):
+            if name:
+                _check(Path(name), is_network, ())
+
+
+def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
+    """That outputs of a configuration, as (option, value), are files.
+
+    Raises:
+        ConfigError: one opens a connection.
+    """
+    for option, value in outputs:
+        if _is_connection(value):
+            raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
+
+
+def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> None:
+    path = path.resolve()
+    try:
+        about = path.stat()
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+    if not stat.S_ISREG(about.st_mode):
+        raise ConfigError(f"{path} is no regular file: SUMO would wait for it")
+    for further in _included(path, is_network, about.st_mtime_ns, about.st_size):
+        if further in (path, *including):
+            raise ConfigError(f"{path} includes {further}, which includes it: SUMO would not come to an end")
+        _check(further, is_network, (path, *including))
+
+
+@lru_cache(256)
+def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Path, ...]:
+    """Check the elements of one file; returns the files that it includes."""
+    parser, found, depth = expat.ParserCreate(), [], 0
+
+    def refuse(what: str) -> NoReturn:
+        raise ConfigError(f"{path}, line {parser.CurrentLineNumber}: {what}")
+
+    def element(tag: str, has: Mapping[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST:
+            refuse(f"more than {DEEPEST} elements in each other")
+        if is_network and tag in NOT_IN_NETWORKS:
+            refuse(f"<{tag}> in a network may end the process: move it to an additional file")
+        for name, text in has.items():
+            if name in NUMBERS and SUSPECT.search(text):
+                for word in WORDS.findall(text):
+                    if _is_none(word):
+                        refuse(f'<{tag} {name}="{text}"> is no number that SUMO can drive with')
+            elif name in ("file", "output", "dest") and _is_connection(text):
+                refuse(f'<{tag} {name}="{text}"> opens a connection to another program: name a file')
+            if name in POSITIVE.get(tag, ()) and _number(text, 1.0) <= 0.0:
+                refuse(f'<{tag} {name}="{text}"> must be above 0')
+        if tag == "include" and "href" in has:
+            found.append((path.parent / has["href"]).resolve())
+        elif re.search("file|output", has.get("key", "")) and _is_connection(has.get("value", "")):
+            refuse(f'"{has["key"]}" opens a connection to {has["value"]}: name a file')
+        elif tag in FLOWS and (rate := _rate(has)) > MOST:
+            flow = f"<{tag}> {has.get('id', '')!r}"
+            refuse(f"{flow} asks for {rate:.3g} departures a second; at most {MOST:g} are possible")
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def document_type(*_: object) -> None:
+        refuse("a document type (<!DOCTYPE ...>) may hold entities that never end: remove it")
+
+    parser.StartElementHandler, parser.EndElementHandler = element, end
+    parser.StartDoctypeDeclHandler = document_type
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as opened:
+            parser.ParseFile(opened)
+    except (OSError, EOFError, expat.ExpatError) as error:
+        raise ConfigError(f"{path} cannot be read: {error}") from None
+    return tuple(found)
+
+
+def _number(text: str, otherwise: float) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return otherwise
+
+
+def _is_none(word: str) -> bool:
+    """Whether a word is a number that is not finite, or too large for anything on a road."""
+    return word[:2].lower() == "0x" or not abs(_number(word, 0.0)) <= LARGEST
+
+
+def _is_connection(name: str) -> bool:
+    """As SUMO decides: a colon, but for the letter of a drive of Windows."""
+    return name.find(":") > 1 or name.startswith("[")
+
+
+def _rate(has: Mapping[str, str]) -> float:
+    """Departures of a flow [1/s], as far as its attributes are plain numbers."""
+    if "number" in has and "period" not in has:
+        begin = _number(has.get("begin", "0"), 0.0)
+        seconds = _number(has.get("end", ""), begin + DAY) - begin
+        return _number(has["number"], 0.0) / seconds if seconds > 0.0 else 0.0
+    for name in ("vehsPerHour", "perHour"):
+        if name in has:
+            return _number(has[name], 0.0) / 3600.0
+    period = has.get("period", "")
+    if drawn := re.fullmatch(r"\s*exp\((.*)\)\s*", period):
+        return _number(drawn[1], 0.0)
+    gap = _number(period, 1.0)
+    return 1.0 / gap if gap > 0.0 else 0.0

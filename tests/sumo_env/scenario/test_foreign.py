@@ -1,0 +1,207 @@
+"""Files of SUMO that somebody else wrote: they write nothing, open no connection, end no process and do not hang."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+import socket
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sumo_env.config import ConfigError
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.traffic.foreign import check_files
+from sumo_env.traffic.sumo_files import configuration
+from tests.sumo_env.plans import needs_sumo
+from tests.sumo_env.scenario.files import written
+
+LAUGHS = "<!DOCTYPE x [<!ENTITY a 'ha'>" + "".join(f"<!ENTITY l{n} '&a;&a;'>" for n in range(9)) + "]>"
+WRITERS = {
+    "edgeData": '<edgeData id="e" period="1" file="{}"/>',
+    "laneData": '<laneData id="e" period="1" file="{}"/>',
+    "inductionLoop": '<inductionLoop id="e" lane="A0A1_0" pos="10" period="1" file="{}"/>',
+    "e1Detector": '<e1Detector id="e" lane="A0A1_0" pos="10" period="1" file="{}"/>',
+    "instantInductionLoop": '<instantInductionLoop id="e" lane="A0A1_0" pos="10" file="{}"/>',
+    "e2Detector": '<e2Detector id="e" lane="A0A1_0" pos="10" length="20" period="1" file="{}"/>',
+    "e3Detector": '<e3Detector id="e" period="1" file="{}"><detEntry lane="A0A1_0" pos="9"/>'
+    '<detExit lane="A0A1_0" pos="50"/></e3Detector>',
+    "routeProbe": '<routeProbe id="e" edge="A0A1" period="1" file="{}"/>',
+    "vTypeProbe": '<vTypeProbe id="e" period="1" file="{}"/>',
+    "calibrator": '<calibrator id="e" edge="A0A1" pos="20" output="{}"><flow begin="0" end="9" vehsPerHour="900" '
+    'speed="9"/></calibrator>',
+    "timedEvent": '<timedEvent type="SaveTLSStates" source="B1" dest="{}"/>',
+    "vType": '<vType id="e"><param key="device.ssm.file" value="{}"/></vType>',
+}
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("town"), "static").parent
+
+
+def refused(content: str, folder: Path, ending: str = ".rou.xml") -> str:
+    """What is said of a file with this content."""
+    file = folder / f"foreign{ending}"
+    file.write_bytes(gzip.compress(content.encode()) if ending.endswith("gz") else content.encode())
+    with pytest.raises(ConfigError, match=re.escape(str(file))) as caught:
+        check_files({"net-file" if "net" in ending else "route-files": str(file)})
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("tag", [tag for tag in WRITERS if tag != "vType"])
+def test_a_network_has_no_detectors(tag: str, town: Path, tmp_path: Path) -> None:
+    network = (town / "grid.net.xml").read_text()
+    element = WRITERS[tag].format(tmp_path / "out.xml")
+    said = refused(network.replace("</net>", f"{element}</net>"), tmp_path, ".net.xml")
+    assert re.search(rf", line \d+: <{tag}> in a network may end the process: move it", said)
+
+
+@pytest.mark.parametrize("tag", WRITERS)
+def test_nothing_connects(tag: str, tmp_path: Path) -> None:
+    for place in ("localhost:8000", "[::1]:8000"):
+        assert "opens a connection" in refused(f"<a>{WRITERS[tag].format(place)}</a>", tmp_path, ".add.xml")
+
+
+@needs_sumo
+def test_what_an_additional_file_writes_goes_nowhere(town: Path, tmp_path: Path) -> None:
+    out, file = tmp_path / "precious.xml", tmp_path / "all.add.xml"
+    out.write_text("mine")
+    parts = [text.replace('id="e"', f'id="{tag}"').format(out) for tag, text in WRITERS.items()]
+    file.write_text(f"<additional>{''.join(parts)}</additional>")
+    env = SumoDrivingEnv(town / "grid.net.xml", town / "t.rou.xml", ["A0A1", "A1B1", "B1C1"], additional=file)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(1)
+    env.close()
+    assert out.read_text() == "mine" and sorted(tmp_path.iterdir()) == [file, out]
+
+
+def test_outputs_of_a_configuration_do_not_connect(town: Path, tmp_path: Path) -> None:
+    config = town / "connects.sumocfg"
+    config.write_text((town / "t.sumocfg").read_text().replace("trips.xml", "localhost:8000"))
+    with pytest.raises(ConfigError, match="tripinfo-output='localhost:8000' opens a connection"):
+        SumoDrivingEnv(config, ego_vehicle="ego", output_dir=tmp_path)
+
+
+def test_a_configuration_neither_ends_sumo_nor_lets_it_read_schemas(town: Path) -> None:
+    config = town / "odd.sumocfg"
+    names = ("xml-validation", "X", "xml-validation.routes", "save-template", "C", "version", "c", "tripinfo")
+    more = "".join(f'<{name} value="auto"/>' for name in names)
+    config.write_text((town / "t.sumocfg").read_text().replace("<time>", f"<time>{more}"))
+    assert set(configuration(config)) == {
+        *("net-file", "route-files", "additional-files", "tripinfo-output", "log")
+    }
+
+
+@needs_sumo
+def test_sumo_reads_no_schema_of_the_network(town: Path, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        where = f"http://127.0.0.1:{server.getsockname()[1]}/a.xsd"
+        routes = tmp_path / "r.rou.xml"
+        routes.write_text(
+            f'<routes xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:noNamespaceSchemaLocation="{where}"/>'
+        )
+        config = town / "schema.sumocfg"
+        text = (town / "t.sumocfg").read_text().replace("t.rou.xml", str(routes))
+        config.write_text(text.replace("<time>", '<time><xml-validation value="auto"/>'))
+        env = SumoDrivingEnv(config, ego_route=["A0A1", "A1B1"])
+        env.reset(seed=0)
+        env.close()
+        server.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+@pytest.mark.parametrize("ending", [".net.xml", ".rou.xml", ".add.xml", ".rou.xml.gz"])
+def test_document_types_are_refused(ending: str, tmp_path: Path) -> None:
+    said = refused(f"{LAUGHS}<routes/>", tmp_path, ending)
+    assert ", line 1: a document type" in said
+    text = f'<?xml version="1.0" encoding="utf-16"?>{LAUGHS}<routes/>'
+    (tmp_path / "a.rou.xml").write_bytes(text.encode("utf-16"))
+    with pytest.raises(ConfigError, match="a document type"):
+        check_files({"route-files": str(tmp_path / "a.rou.xml")})
+
+
+NUMBERS = ["nan", "NaN", "inf", "-Infinity", "1e308", "-1e99", "1e10", "12345678901", "0x1p200"]
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize(
+    "name", ["depart", "departPos", "departSpeed", "accel", "maxSpeed", "speedFactor", "shape"]
+)
+def test_numbers_are_numbers(name: str, number: str, tmp_path: Path) -> None:
+    for text in (number, f"normc(1,{number})", f"1,2 {number},3"):
+        said = refused(f'<routes>\n<vehicle id="inf" {name}="{text}"/></routes>', tmp_path)
+        assert f'line 2: <vehicle {name}="{text}"> is no number that SUMO can drive with' in said
+
+
+def test_words_and_long_numbers_are_allowed(tmp_path: Path) -> None:
+    file = tmp_path / "a.rou.xml"
+    file.write_text(
+        '<routes><vType id="nan" accel="2.123456789012345" speedFactor="normc(1,0.1,0.2,2)" length="1e-12"/>'
+        '<vehicle id="1e308" depart="triggered" departPos="random_free" departSpeed="speedLimit" line="infinity"/>'
+        '<flow id="inf" begin="1:00:00" end="999999999" vehsPerHour="1800" departLane="best"/></routes>'
+    )
+    check_files({"route-files": str(file)})
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        'lane id="a" width="0"',
+        'lane id="a" length="-1"',
+        'vType id="a" length="0"',
+        'vType id="a" maxSpeed="-3"',
+    ],
+)
+def test_lengths_are_above_0(element: str, tmp_path: Path) -> None:
+    assert "must be above 0" in refused(f"<net><{element}/></net>", tmp_path, ".net.xml")
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        'number="1000000000" period="0.000001"',
+        'number="1000000000"',
+        'begin="0" end="10" number="100000"',
+        'vehsPerHour="999999999"',
+        'perHour="999999999"',
+        'period="exp(999999999)"',
+        'period="0.001"',
+    ],
+)
+@pytest.mark.parametrize("tag", ["flow", "personFlow"])
+def test_flows_are_bounded(tag: str, rate: str, tmp_path: Path) -> None:
+    said = refused(f'<routes><{tag} id="f" {rate}/></routes>', tmp_path)
+    assert re.search(rf"<{tag}> 'f' asks for .* departures a second; at most 100 are possible", said)
+
+
+def test_nesting_is_bounded(tmp_path: Path) -> None:
+    assert "more than 50 elements in each other" in refused(f"{'<a>' * 99}{'</a>' * 99}", tmp_path)
+
+
+def test_what_includes_itself_is_refused(tmp_path: Path) -> None:
+    one, other = tmp_path / "one.rou.xml", tmp_path / "other.rou.xml"
+    one.write_text('<routes><include href="other.rou.xml"/></routes>')
+    other.write_text("<routes/>")
+    check_files({"route-files": str(one)})
+    other.write_text('<routes><include href="one.rou.xml"/></routes>')
+    with pytest.raises(ConfigError, match="would not come to an end"):
+        check_files({"route-files": str(one)})
+    other.write_text('<routes><include href="/dev/zero"/></routes>')
+    with pytest.raises(ConfigError, match="/dev/zero is no regular file"):
+        check_files({"route-files": str(one)})
+
+
+@pytest.mark.parametrize("argument", ["network", "routes", "additional"])
+def test_a_pipe_is_not_waited_for(argument: str, town: Path, tmp_path: Path) -> None:
+    files: dict[str, Any] = {"network": town / "grid.net.xml", "routes": town / "t.rou.xml"}
+    files[argument] = tmp_path / "pipe.xml"
+    os.mkfifo(files[argument])
+    with pytest.raises(ConfigError, match=r"there is no file .*pipe\.xml"):
+        SumoDrivingEnv(**files, ego_vehicle="ego")

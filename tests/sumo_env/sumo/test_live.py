@@ -1,0 +1,188 @@
+"""SUMO's own window (live="sumo-gui"), on a display that nobody sees."""
+
+from __future__ import annotations
+
+import copy
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import sumo_env
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.simulator import SimulatorError
+from sumo_env.sumo import options
+from tests.processes import children, ends, python
+from tests.sumo_env.plans import build, needs_sumo
+from tests.sumo_env.rollout import drive
+
+pytestmark = [
+    needs_sumo,
+    pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs Xvfb: apt-get install xvfb"),
+    pytest.mark.slow,
+]
+HURRIED = ["--delay", "0"]
+IDLE = 1
+
+
+@pytest.fixture(scope="module", autouse=True)
+def display() -> Iterator[None]:
+    """A display, found by a number that is free."""
+    read, write = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x900x24"]
+    with (
+        subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        os.close(write)
+        with os.fdopen(read) as number:
+            patch.setenv("DISPLAY", f":{number.readline().strip()}")
+        yield
+        server.terminate()
+
+
+def window_of(env: Any) -> int:
+    """Process of the window of an environment."""
+    (pid,) = children(env.unwrapped._simulator.pid, "sumo-gui")
+    return pid
+
+
+def assert_equal(ours: Any, theirs: Any, seed: int, actions: list[int], risk: float) -> None:
+    first = [env.reset(seed=seed, options={"config": {"risk": risk}})[0] for env in (ours, theirs)]
+    assert np.array_equal(*first)
+    for one, other in zip(drive(ours, actions), drive(theirs, actions), strict=True):
+        assert np.array_equal(one[0], other[0]) and one[1:4] == other[1:4]
+
+
+@pytest.mark.parametrize("seeds", [1, pytest.param(20, marks=pytest.mark.long)])
+@pytest.mark.parametrize("id", sumo_env.IDS)
+def test_the_window_changes_nothing(id: str, seeds: int) -> None:
+    made = gym.make(id, live="sumo-gui", sumo_options=HURRIED)
+    env: Any = made.unwrapped
+    with made as ours, gym.make(id) as theirs:
+        for seed in range(seeds):
+            actions = np.random.default_rng(seed).integers(env.action_space.n, size=100).tolist()
+            assert_equal(ours, theirs, seed, actions, risk=float(seed % 2))
+        assert env.sumo.vehicle.getColor("ego") == (0, 150, 255, 255)
+        assert env.sumo.gui.getTrackedVehicle() == "ego"
+
+
+def test_nor_on_a_network_of_one_s_own_in_a_folder_with_a_comma(tmp_path: Path) -> None:
+    folder = tmp_path / "a, b"
+    folder.mkdir()
+    plan = ("a 0 0,b 200 0,c 400 0", "ab a b 2 15,bc b c 2 15", "ab 0 bc 0,ab 1 bc 1")
+    net = build(tmp_path, plan).rename(folder / "net.xml")
+    files: Any = net, [["ab", "bc"]], ["ab", "bc"], {"spawn_probability": 0.5, "duration": 20}
+    ours, theirs = SumoDrivingEnv(*files, live="sumo-gui", sumo_options=HURRIED), SumoDrivingEnv(*files)
+    for seed in range(3):
+        assert_equal(ours, theirs, seed, [IDLE] * 100, risk=1.0)
+    window = window_of(ours)
+    ours.close()
+    assert ends(window)
+    theirs.close()
+
+
+def test_a_copy_goes_on_without_a_window() -> None:
+    env: Any = DrivingEnv("u-turn", live="sumo-gui", sumo_options=HURRIED)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(IDLE)
+    twin = copy.deepcopy(env)
+    assert not children(twin._simulator.pid)
+    for _ in range(3):
+        ours, theirs = env.step(IDLE), twin.step(IDLE)
+        assert np.array_equal(ours[0], theirs[0]) and ours[1:4] == theirs[1:4]
+    twin.reset(seed=1)
+    window = window_of(env)
+    twin.close()
+    env.close()
+    assert ends(window)
+
+
+def test_closing_the_window_ends_the_episode_and_the_next_one_has_none() -> None:
+    env: Any = DrivingEnv("highway", live="sumo-gui", sumo_options=HURRIED)
+    env.reset(seed=0)
+    seen, *_ = env.step(IDLE)
+    os.kill(window_of(env), signal.SIGTERM)
+    with pytest.warns(UserWarning, match="SUMO's window was closed: this episode ends, and the next ones"):
+        last, reward, terminated, truncated, info = env.step(IDLE)
+    assert (terminated, truncated, info["distance"]) == (False, True, 0.0)
+    assert np.array_equal(seen[1:], last[1:]) and np.isfinite(reward)
+    with pytest.raises(SimulatorError, match="has ended; call reset"):
+        env.step(IDLE)
+    with DrivingEnv("highway") as other:
+        assert_equal(env, other, 3, [IDLE] * 5, risk=0.0)
+    env.close()
+
+
+def test_a_window_that_is_closed_between_episodes_is_left_closed() -> None:
+    env: Any = DrivingEnv("two-way", live="sumo-gui", sumo_options=HURRIED)
+    env.reset(seed=0)
+    os.kill(window_of(env), signal.SIGTERM)
+    with pytest.warns(UserWarning, match="SUMO's window was closed"):
+        env.reset(seed=1)
+    assert not env.step(IDLE)[3]
+    env.close()
+
+
+def test_a_window_ends_with_a_worker_that_is_killed() -> None:
+    env: Any = DrivingEnv("two-way", live="sumo-gui")
+    env.reset(seed=0)
+    window = window_of(env)
+    os.kill(env._simulator.pid, signal.SIGKILL)
+    assert ends(window)
+    with pytest.raises(SimulatorError, match="killed by SIGKILL"):
+        env.step(IDLE)
+    env.close()
+
+
+def test_without_a_display_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", ":40000")
+    env: Any = DrivingEnv("u-turn", live="sumo-gui")
+    with pytest.raises(SimulatorError, match=r"sumo-gui has opened no window.*DISPLAY"):
+        env.reset(seed=0)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("versions", "words"),
+    [
+        ({"libsumo": "1.28.0", "eclipse-sumo": "1.27.0", "traci": "1.27.0"}, "eclipse-sumo is 1.27.0"),
+        ({"libsumo": "1.28.0", "traci": "1.28.0"}, r"eclipse-sumo is missing.*\[gui\]"),
+    ],
+)
+def test_another_version_of_sumo_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, versions: dict[str, str], words: str
+) -> None:
+    def version(name: str) -> str:
+        if name not in versions:
+            raise options.PackageNotFoundError(name)
+        return versions[name]
+
+    monkeypatch.setattr(options, "version", version)
+    with pytest.raises(ImportError, match=words):
+        DrivingEnv("u-turn", live="sumo-gui")
+
+
+def test_other_windows_and_simulators_have_none() -> None:
+    with pytest.raises(ConfigError, match="live must be None or 'sumo-gui'"):
+        DrivingEnv("u-turn", live="netedit")
+    with pytest.raises(TypeError, match="live"):
+        gym.make("replica/u-turn-v0", live="sumo-gui")
+
+
+def test_a_script_that_ends_leaves_no_window() -> None:
+    script = (
+        "import gymnasium as gym, sumo_env; from tests.processes import children\n"
+        "env = gym.make('sumo/u-turn-v0', live='sumo-gui'); env.reset(seed=0); env.step(1)\n"
+        "print(children(env.unwrapped._simulator.pid, 'sumo-gui')[0])"
+    )
+    assert ends(int(python("-c", script).split()[-1]))

@@ -1,0 +1,317 @@
+"""Several learning cars: PettingZoo's environments, tuples as in highway-env, and one car alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import sumo_env
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.tasks import get_task
+from sumo_env.traffic.scenario import car_id
+from tests.sumo_env.plans import build, needs_sumo, route_file
+
+pytest.importorskip("pettingzoo")
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+MOST = {"highway": 3, "two-way": 2, "roundabout": 5, "intersection": 4, "u-turn": 3}
+PLAN = ("a 0 0, b 1500 0, c 2000 0", "ab a b 2 25, bc b c 2 25")
+TRAFFIC = """
+    <vType id="cav" accel="2.0" decel="4.0"/>
+    <flow id="f" begin="0" end="900" period="3" departLane="random"><route edges="ab bc"/></flow>
+    <vehicle id="early" type="cav" depart="2"><route edges="ab bc"/></vehicle>
+    <vehicle id="late" type="cav" depart="12"><route edges="ab bc"/></vehicle>
+    <flow id="g" type="cav" begin="30" end="900" period="5"><route edges="ab bc"/></flow>
+"""
+WATCHED = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}  # SUMO drives
+
+
+def several(kind: str, task: str, count: int, **keywords: Any) -> Any:
+    return sumo_env.parallel_env(f"{kind}/{task}-v0", {"controlled_vehicles": count}, **keywords)
+
+
+def driven(env: Any, seed: int, most: int = 100) -> list[Any]:
+    """An episode of actions that the seed draws."""
+    rng, found = np.random.default_rng(seed), [env.reset(seed=seed)]
+    while env.agents and len(found) < most:
+        actions = {agent: int(rng.integers(env.action_space(agent).n)) for agent in env.agents}
+        found.append(env.step(actions))
+    return found
+
+
+@pytest.mark.parametrize("kind", ["sumo", "replica"])
+@pytest.mark.parametrize("task", MOST)
+def test_petting_zoo_accepts_all_tasks(kind: str, task: str) -> None:
+    env = several(kind, task, MOST[task])
+    parallel_api_test(env, num_cycles=15)
+    env.close()
+
+
+@pytest.mark.parametrize("task", MOST)
+def test_seeds_decide_on_episodes(task: str) -> None:
+    parallel_seed_test(lambda: several("sumo", task, 2), num_cycles=10)
+
+
+@pytest.mark.parametrize("kind", ["sumo", "replica"])
+@pytest.mark.parametrize("task", MOST)
+def test_one_car_alone_is_the_single_environment_to_the_bit(kind: str, task: str) -> None:
+    env: Any = several(kind, task, 1)
+    single: Any = gym.make(f"{kind}/{task}-v0")
+    found, rng = driven(env, 3), np.random.default_rng(3)
+    observation, info = single.reset(seed=3)
+    assert found[0][0]["car_0"].tobytes() == observation.tobytes() and repr(found[0][1]["car_0"]) == repr(
+        info
+    )
+    for step in found[1:]:
+        observation, *rest = single.step(int(rng.integers(single.action_space.n)))
+        assert step[0]["car_0"].tobytes() == observation.tobytes()
+        assert repr([part["car_0"] for part in step[1:]]) == repr(rest)
+    assert rest[1] or rest[2]
+
+
+@pytest.mark.parametrize("task", MOST)
+def test_a_scenario_with_two_cars_has_the_same_traffic(task: str) -> None:
+    config = DrivingEnv(task, {"risk": 1.0}).config
+    one, two = (get_task(task).scenario({**config, "controlled_vehicles": count}, 5) for count in (1, 2))
+    others = [spec for spec in two.vehicles if spec.id not in two.further]
+    assert [spec.id for spec in two.cars] == [car_id(0), car_id(1)] and two.ego == one.ego
+    assert (two.spawns, two.events) == (one.spawns, one.events)
+    if task == "highway":  # highway-env places a car between two halves of the traffic
+        half, shift = len(others) // 2, others[-1].s - one.vehicles[-1].s
+        assert two.vehicles[half].id == car_id(1) and shift > 0.0
+        assert others[:half] == list(one.vehicles[:half])
+        assert [spec.s for spec in others[half:]] == pytest.approx([v.s + shift for v in one.vehicles[half:]])
+        assert [spec.lane for spec in others] == [spec.lane for spec in one.vehicles]
+    else:
+        assert others == list(one.vehicles)
+
+
+def test_a_vehicle_that_matters_to_one_of_the_cars_is_simulated() -> None:
+    config = {**DrivingEnv("highway", {"vehicles_count": 100, "duration": 5}).config}
+    one, two = (get_task("highway").scenario({**config, "controlled_vehicles": count}, 0) for count in (1, 2))
+    furthest = [max(spec.s for spec in drawn.vehicles if spec.concerns_ego) for drawn in (one, two)]
+    assert furthest[1] > furthest[0] + 500.0
+    assert not all(spec.concerns_ego for spec in one.vehicles)
+
+
+def test_two_cars_that_touch_have_both_crashed() -> None:
+    """On the u-turn two cars start side by side; one changes to the lane of the other."""
+    env = sumo_env.parallel_env("sumo/u-turn-v0", {"controlled_vehicles": 2, "vehicles_count": 0})
+    env.reset(seed=0)
+    for _ in range(10):
+        *_, infos = env.step({"car_0": 2, "car_1": 0})
+        if not env.agents:
+            break
+    assert [infos[agent]["crash"]["other"] for agent in infos] == [car_id(1), car_id(0)]
+    assert [infos[agent]["crashed"] for agent in infos] == [True, True]
+    assert env.agents == []
+
+
+@pytest.mark.parametrize("removes", [False, True])
+def test_a_crashed_car_leaves_the_agents_and_with_remove_crashed_the_road(removes: bool) -> None:
+    env = several("sumo", "two-way", 2, remove_crashed=removes)
+    for seed in range(20):
+        env.reset(seed=seed)
+        while len(env.agents) == 2:  # the first car drives into the cars ahead
+            env.step({"car_0": 3, "car_1": 4})
+        if env.agents == ["car_1"]:
+            break
+    assert env.cars["car_0"].ego_state.crashed
+    env.step({"car_1": 4})
+    scene = env.cars["car_1"].scene
+    assert (car_id(0) in scene.ids, scene.cars) == ((False, 1) if removes else (True, 2))
+    assert scene.ids[0] == car_id(1)
+
+
+def test_the_first_rows_of_a_scene_are_the_cars() -> None:
+    env = several("sumo", "highway", 3)
+    env.reset(seed=0)
+    scene = env.cars["car_0"].scene
+    assert scene.ids[: scene.cars] == tuple(map(car_id, range(3)))
+    seen = scene.seen_by(car_id(2))
+    assert seen.ids[:3] == (car_id(2), car_id(0), car_id(1)) and seen.ids[3:] == scene.ids[3:]
+    assert seen.x[0] == scene.x[2] and sorted(seen.x) == sorted(scene.x)
+    with pytest.raises(KeyError):
+        scene.seen_by("v0")
+
+
+# -- tuples --------------------------------------------------------------------------------------------------------
+
+
+def tuples(action: dict[str, Any], observation: dict[str, Any], **keys: Any) -> dict[str, Any]:
+    return {
+        "action": {"type": "MultiAgentAction", "action_config": action},
+        "observation": {"type": "MultiAgentObservation", "observation_config": observation},
+        **keys,
+    }
+
+
+META, CONTINUOUS, SEEN = {"type": "DiscreteMetaAction"}, {"type": "ContinuousAction"}, {"type": "Kinematics"}
+STANDING = (
+    0.2  # [m/s] highway-env's steering divides by the speed: the rounding of a car that hardly moves grows
+)
+CASES = {
+    "highway": ("highway-v0", tuples(META, SEEN, controlled_vehicles=3, vehicles_count=20)),
+    "highway-fast": ("highway-fast-v0", tuples(META, SEEN, controlled_vehicles=2)),
+    "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=20)),
+    "four arms": (
+        "intersection-v0",
+        tuples(
+            {**META, "lateral": False, "target_speeds": [0, 4.5, 9]},
+            SEEN,
+            controlled_vehicles=4,
+            destination=None,
+        ),
+    ),
+    "intersection": ("intersection-multi-agent-v0", None),
+    "each its own": ("intersection-multi-agent-v1", None),
+    "connected": ("intersection-multi-agent-v2", None),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
+    """Same seed, same episode: positions, observations, rewards and ends."""
+    highway_env = pytest.importorskip("highway_env")
+    gym.register_envs(highway_env)
+    id, config = CASES[case]
+    keywords: Any = {} if config is None else {"config": config}
+    both: list[Any] = [
+        gym.make(f"{room}{id}", disable_env_checker=True, **keywords) for room in ("", "replica/")
+    ]
+    ours = both[1]
+    compared = 0
+    for seed in range(4):
+        found: list[Any] = [env.reset(seed=seed) for env in both]
+        ours.action_space.seed(seed)
+        is_over = False
+        while not is_over:
+            cars: list[Any] = [env.unwrapped.controlled_vehicles for env in both]
+            if min(car.speed for car in cars[0]) < STANDING:
+                break
+            there, here = ([car.position for car in one] for one in cars)
+            np.testing.assert_allclose(there, here, atol=1e-6)
+            for one, other in zip(found[0][0], found[1][0], strict=True):
+                np.testing.assert_allclose(one, other, atol=1e-5)
+            for key in ("agents_rewards", "agents_terminated"):
+                if key in found[0][-1]:
+                    assert found[0][-1][key] == pytest.approx(found[1][-1][key], abs=1e-6)
+            action = ours.action_space.sample()
+            found = [env.step(action) for env in both]
+            assert found[0][1] == pytest.approx(found[1][1], abs=1e-6)
+            assert found[0][2:4] == found[1][2:4]
+            is_over, compared = bool(np.all(found[0][2])) or found[0][3], compared + 1
+    assert compared >= 15
+
+
+@pytest.mark.parametrize("task", ["highway", "intersection"])
+def test_on_sumo_actions_and_observations_are_tuples_as_well(task: str) -> None:
+    action = {**META, "lateral": task == "highway"}
+    env = gym.make(f"sumo/{task}-v0", config=tuples(action, SEEN, controlled_vehicles=2))
+    observation, info = env.reset(seed=0)
+    assert env.observation_space.contains(observation) and len(info["agents_rewards"]) == 2
+    observation, reward, *_, info = env.step((1, 1))
+    rewards = info["agents_rewards"]
+    assert reward == pytest.approx(rewards[0] if task == "highway" else np.mean(rewards))
+    with pytest.raises(ValueError, match="2 learning cars need a tuple of 2 actions"):
+        env.unwrapped.step((1,))
+    with pytest.raises(ConfigError, match="reset cannot change 'controlled_vehicles'"):
+        env.reset(options={"config": {"controlled_vehicles": 3}})
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"controlled_vehicles": 2}, "MultiAgentAction"),
+        ({"controlled_vehicles": 0}, "whole number from 1 on"),
+        (tuples(META, SEEN, controlled_vehicles=9), "is at most 4"),
+    ],
+)
+def test_what_tuples_cannot_be_is_an_error(config: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        gym.make("sumo/intersection-v0", config=config).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("id", "keywords", "message"),
+    [
+        ("replica/highway-v0", {"remove_crashed": True}, "crashed cars stay on the road"),
+        ("CartPole-v1", {}, "not an environment of sumo_env"),
+        ("sumo/two-way-v0", {"config": {"controlled_vehicles": 3}}, "is at most 2"),
+    ],
+)
+def test_what_parallel_env_cannot_make_is_an_error(id: str, keywords: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        sumo_env.parallel_env(id, **keywords).reset(seed=0)
+
+
+# -- networks of one's own -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def road(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("road")
+    return build(folder, PLAN), route_file(folder, TRAFFIC)
+
+
+def places(scene: Any) -> dict[str, float]:
+    return dict(zip(scene.ids, scene.x.tolist(), strict=True))
+
+
+@needs_sumo
+def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> None:
+    """car_0 departs ten seconds after car_1. SUMO drives both: all drive as without a second learning car."""
+    network, routes = road
+    config = {"duration": 40, "action": WATCHED}
+    env = sumo_env.parallel_env(network, config, routes=routes, vehicles=["late", "early"])
+    single = SumoDrivingEnv(network, routes, ego_vehicle="early", config=config)
+    assert env.possible_agents == ["car_0", "car_1"]
+    observations, _ = env.reset(seed=0)
+    single.reset(seed=0)
+    assert list(observations) == ["car_1"] == env.agents
+    came = []
+    while env.agents:
+        found = env.step(dict.fromkeys(env.agents, 0))
+        single.step(0)
+        assert places(env.cars["car_1"].scene) == places(single.scene)
+        came.append(len(found[0]))
+        if came.count(2) == 1:
+            assert found[1]["car_0"] == 0.0 and env.agents == ["car_0", "car_1"]
+    assert came == [1] * 9 + [2] * 31
+    assert all(found[3].values()) and env.cars["car_0"].scene.place.lane[0].startswith("ab")
+    env.close()
+    single.close()
+
+
+@needs_sumo
+def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
+    """Further vehicles of the type are SUMO's; a car that has arrived leaves the agents."""
+    network, routes = road
+    config = {"duration": 150, "action": {**WATCHED, "longitudinal": True}}
+    env = sumo_env.parallel_env(network, config, routes=routes, vehicle_type="cav", max_cars=4)
+    env.reset(seed=0)
+    assert env.agents == ["car_0"] and len(env.possible_agents) == 4
+    ends: dict[str, str] = {}
+    while env.agents:
+        _, _, terminated, _, infos = env.step(dict.fromkeys(env.agents, 2))  # FASTER
+        ends |= {
+            agent: "arrived" if infos[agent]["arrived"] else "crashed" for agent in infos if terminated[agent]
+        }
+    assert set(ends) == set(env.possible_agents) and "arrived" in ends.values()
+    assert list(env.ids.values()) == ["early", "late", "g.0", "g.1"]
+    env.close()
+
+
+@needs_sumo
+@pytest.mark.parametrize(
+    "parts", [{}, {"vehicles": ["early"], "vehicle_type": "cav"}, {"vehicle_type": "cav"}]
+)
+def test_a_fleet_has_ids_or_a_type(road: tuple[Path, Path], parts: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="either vehicles="):
+        sumo_env.parallel_env(road[0], routes=road[1], **parts)

@@ -51,7 +51,7 @@ def atomic(path: Path) -> Iterator[BinaryIO]:
     except BaseException as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
+        if isinstance(error, OSError) and error.errno is not None:
             error.filename = str(path)
         raise
     sync(path.parent)  # makes the new name durable, too
@@ -72,14 +72,13 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
 
     Raises CheckpointError when the file is damaged, FileNotFoundError when there is none.
     """
-    with open_regular(Path(path)) as file:
-        try:
-            with np.load(file, allow_pickle=False) as archive:
-                return {
-                    name: archive[name] for name in archive.files
-                }  # reads to the end: checks every CRC-32
-        except Exception as error:  # a damaged archive may end in nearly any of them
-            reason = str(error).partition("\n")[0] or type(error).__name__
-            raise CheckpointError(
-                f"{path} is damaged ({reason}): delete it and run the training again."
-            ) from error
+    try:
+        with open_regular(Path(path)) as file, np.load(file, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}  # reads to the end: checks every CRC-32
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # a damaged archive may end in nearly any of them
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise CheckpointError(
+            f"{path} is damaged ({reason}): delete it and run the training again."
+        ) from error

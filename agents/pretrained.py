@@ -97,7 +97,7 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     inner = Standardised(kind(space, about["actions"]), space)
     prefix = f"{setting}/{arm}/"
     weights = {
-        name.removeprefix(prefix): array.astype(np.float32, casting="same_kind")
+        name.removeprefix(prefix): array.astype(np.float32) if array.dtype.kind == "f" else array
         for name, array in _arrays(Path(file)).items()
         if name.startswith(prefix)
     }

@@ -32,14 +32,14 @@ KEY = {
     "eval": {"episodes": COUNT[1:], "gate_episodes": COUNT, "first_scenario?": COUNT},
 }
 TEST = {"backend": tuple(SIMULATORS), "traffics": [tuple(ALL)], "episodes": COUNT[1:], "env_config": dict}
-NUMBERS = [int | float]
+NUMBERS, OR_NONE = [int | float], [int | float | None]  # None: of a part of a training in which no episode has ended
 RECORD = {
     **{"schema": int, "key": KEY, "versions": dict, "files": {EPISODES: str}, "provenance?": {"packages?": dict}},
     "timing?": {"finished?": str, "train_seconds?": int | float, "test_seconds?": int | float},
-    "learner?": {"curve?": {"step": NUMBERS, "return": NUMBERS, "crashed": NUMBERS}},
+    "learner?": {"curve?": {"step": NUMBERS, "return": OR_NONE, "crashed": OR_NONE}},
 }
 OF_AGENT = {"timing": {"finished": str}, "learner": dict}
-OF_Q = {"learner": {"probe_q": [[int | float | None]], "q_bound": int | float}}  # of one that has learnt Q-values
+OF_Q = {"learner": {"probe_q": [OR_NONE], "q_bound": int | float}}  # of one that has learnt Q-values
 
 
 class Column(NamedTuple):

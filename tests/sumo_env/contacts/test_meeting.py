@@ -169,7 +169,7 @@ def test_roads_that_cross_without_a_junction_never_meet(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = straight_on(tmp_path, *NEVER[case])
-    assert found.infos[-1]["arrived"] and not found.crash["other"]
+    assert found.infos[-1]["arrived"] and not found.crash
     assert found.least_ttc == math.inf
     assert not any(info["near_miss"] or info["cost"] for info in found.infos)
     # the outlines alone do touch

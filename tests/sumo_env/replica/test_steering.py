@@ -19,7 +19,6 @@ from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
 from experiments.backends import make_env
-from sumo_env.actions import ContinuousAction
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.replica.env import ReplicaEnv
@@ -264,7 +263,7 @@ def test_info_and_the_ego_are_as_in_highway_env() -> None:
     assert info["action"].tolist() == [0.0, 0.0]
     info = env.step(np.array([0.5, -0.25], np.float32))[-1]
     assert info["action"].dtype == np.float32 and info["action"].tolist() == [0.5, -0.25]
-    assert isinstance(env.action_type, ContinuousAction) and env.actions == {}
+    assert env.action_type.space() == env.action_space and env.actions == {}
     assert not hasattr(env.vehicle, "target_speed") and env.vehicle.lane_index[:2] == ("0", "1")
     assert env.get_available_actions() == []
 

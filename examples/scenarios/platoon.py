@@ -13,12 +13,12 @@ CONFIG = {
     "observation": {"type": "LeadersFollowers"},
     "policy_frequency": 2,
     "duration": 40,
-    "centering_position": [0.7, 0.5],  # of the first car in pictures
-    "scaling": 4,
     "progress_reward": 30,
     "gap_reward": -0.5,
     "comfort_reward": -0.02,
     "collision_reward": -10,
+    "centering_position": [0.7, 0.5],  # of the first car in pictures
+    "scaling": 4,
 }
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import gymnasium as gym
 
+import sumo_env  # noqa: F401  (registers its environments)
+
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument(
     "file", nargs="?", type=Path, default=Path(__file__).with_name("rl_agents_intersection.json")
@@ -21,9 +23,8 @@ parser.add_argument("--steps", type=int, default=100)
 args = parser.parse_args()
 
 config = json.loads(args.file.read_text())
-if (
-    config["import_module"] != "sumo_env" or ":" in config["id"]
-):  # rl-agents runs any module that a file names
+# rl-agents imports any module that a file names; nothing is imported here
+if config["import_module"] != "sumo_env" or ":" in config["id"]:
     parser.error(f'{args.file}: "import_module" must be sumo_env, and "id" one of its environments')
 env = gym.make(config["id"], render_mode="rgb_array")
 env.unwrapped.configure(config)  # the whole file, "id" and "import_module" included

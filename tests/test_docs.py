@@ -40,7 +40,7 @@ def page(name: str) -> str:
 
 @each_page
 def test_ids_exist(page: Path) -> None:
-    assert set(re.findall(r"sumo/[a-z-]+-v\d", TEXTS[page])) <= set(sumo_env.IDS)
+    assert set(re.findall(r"sumo/[a-z-]+-v\d", TEXTS[page])) <= {*sumo_env.IDS, sumo_env.SUMO_FAST_ID}
 
 
 @each_page

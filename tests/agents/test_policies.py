@@ -77,7 +77,12 @@ def test_a_model_of_stable_baselines3_drives(tmp_path: Path, algorithm: str) -> 
 
 @pytest.fixture
 def published(tmp_path: Path) -> Path:
-    about = {"network": "attention", "observations": [4, 5], "actions": 5, "time_observed": 0}
+    drives = {"episodes": 4, "crash_rate": [0.5, 0.2, 0.8], "return": [7, 6, 8], "speed": [12.0, 11.0, 13.0]}
+    about = {
+        **{"cell": "a cell", "command": "python experiments/sweep.py", "commit": None, "task": "u-turn"},
+        **{"config": {}, "network": "attention", "observations": [4, 5], "actions": 5, "time_observed": 0},
+        **{"regular": drives, "risky": drives},
+    }
     stored = {
         "u-turn-3/mixed": ({**about, "precision": "float16"}, Greedy(network())),
         "u-turn-3/control": ({**about, "precision": "float32"}, Greedy(network(1))),

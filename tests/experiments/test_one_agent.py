@@ -20,7 +20,6 @@ from experiments.study.compute.evaluate import drives, driving, evaluate
 from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
-from experiments.support import films
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
 
@@ -110,8 +109,8 @@ def test_two_agents_are_filmed_in_a_risky_scenario_that_one_survives(tmp_path: P
     assert "treatment: no crash" in said and "near miss that the agent survives" in said
     assert re.search(r"at risk 1: control \d+% of 100, treatment \d+% of 100", said)
     assert film.stat().st_size > 1000
-    with pytest.raises(UserError, match=r"a \.gif or an \.mp4"):
-        films.save_film([], tmp_path / "film.avi")
+    with pytest.raises(UserError, match=r"ends in \.gif or \.mp4"):
+        watch.watch(watch.Options(published, agent="u-turn-3-treatment", out=tmp_path / "film.avi"))
 
 
 def test_the_scenario_is_chosen_by_a_rule_that_is_said() -> None:

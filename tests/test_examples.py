@@ -110,6 +110,26 @@ def test_a_scenario_is_short_and_can_be_trained(name: str, tmp_path: Path) -> No
     assert rows[name]["episodes"] == 2 and (tmp_path / "a.png").is_file()
 
 
+def test_cars_of_a_platoon_are_paid_their_mean_and_end_in_a_crash() -> None:
+    """Beside PettingZoo's environment: the same rewards, and zeros for cars that have crashed."""
+    code = """
+import platoon, train
+one, other = train.Several(platoon.make()), platoon.make()
+rows, _ = one.reset(seed=0)
+other.reset(seed=0)
+left = set()
+while other.agents:
+    seen, rewards, *_ = other.step({agent: [1.0] for agent in other.agents})
+    rows, reward, over, _, info = one.step([1.0])
+    assert abs(reward - sum(rewards.values()) / 3) < 1e-9 and over == (not other.agents)
+    for agent, row in zip(other.possible_agents, rows):
+        assert (row == (seen[agent] if agent in other.agents else 0.0)).all()
+    left.add(len(other.agents))
+print(info, sorted(left))
+"""
+    assert python_again("-c", code, cwd=SCENARIOS).startswith("{'crashed': True} [0, ")
+
+
 def test_the_page_has_what_the_scenarios_gave() -> None:
     results = json.loads((SCENARIOS / "results.json").read_text())
     assert set(results) <= set(NAMES) and all(row["episodes"] == 100 for row in results.values())

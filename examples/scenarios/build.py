@@ -61,6 +61,7 @@ PLANS = {
         + "\n"
         + "\n".join(f"down{k} n{k} l{k} 1 14\nleave{k} l{k} s{k} 1 14" for k in range(4)),
     },
+    "platoon": {"node": "a 0 0\nb 1200 0", "edge": "road a b 1 20"},
     "ring": {
         "node": "\n".join(
             f"q{k} {36.6 * cos(k * pi / 2):.2f} {36.6 * sin(k * pi / 2):.2f}" for k in range(4)

@@ -27,11 +27,69 @@ SETTINGS = {
 }
 
 
-def constants(space):
+class Several(gym.Env):
+    """Learning cars as one environment, of PettingZoo's: a row for each car, zeros for a car that has crashed.
+
+    An action is a row for each car, or one for all. The reward is the mean of the cars, a crash is that of any of them.
+    """
+
+    def __init__(self, env):
+        self.cars = [env.cars[agent] for agent in env.possible_agents]
+        self.env, self.action_space = env, self.cars[0].action_space
+        self.shape = (len(self.cars), *self.cars[0].observation_space.shape)
+
+    def rows(self, observations):
+        """The observations as an array."""
+        seen = np.zeros(self.shape, np.float32)
+        for agent in self.env.agents:
+            seen[self.env.possible_agents.index(agent)] = observations[agent]
+        return seen
+
+    def reset(self, seed=None, options=None):
+        """As of gymnasium."""
+        observations, _ = self.env.reset(seed, options)
+        return self.rows(observations), {}
+
+    def step(self, action):
+        """As of gymnasium."""
+        each = np.broadcast_to(action, (len(self.cars), *self.action_space.shape))
+        acting = dict(zip(self.env.possible_agents, each, strict=True))
+        observations, rewards, *_ = self.env.step({agent: acting[agent] for agent in self.env.agents})
+        reward = sum(rewards.values()) / len(self.cars)
+        info = {"crashed": any(car.ego_state.crashed for car in self.cars)}
+        return self.rows(observations), reward, not self.env.agents, False, info
+
+    def hand_over(self):
+        """Let SUMO drive all cars."""
+        for car in self.cars:
+            car.hand_over()
+
+    def render(self):
+        """The scene."""
+        return self.env.render()
+
+    def close(self):
+        """Close the simulator."""
+        self.env.close()
+
+
+def learning(env):
+    """The environments of a training: one, or one for each of several learning cars, which share a policy."""
+    if isinstance(env, gym.Env):
+        return DummyVecEnv([lambda: gym.wrappers.FlattenObservation(env)])
+    import supersuit
+
+    cars = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.black_death_v3(env))
+    together = supersuit.concat_vec_envs_v1(cars, 1, base_class="stable_baselines3")
+    together.venv.seed = lambda seed: together.venv.reset(seed=seed)  # which SuperSuit lacks
+    return together
+
+
+def constants(space, levels):
     """Actions that a driver may take for ever, by name."""
     if isinstance(space, gym.spaces.Discrete):
         return {str(number): number for number in range(space.n)}
-    levels = (-1.0, -0.5, 0.0, 0.5, 1.0) if space.shape == (1,) else (-1.0, 0.0, 1.0)
+    levels = levels if space.shape == (1,) else (-1.0, 0.0, 1.0)
     return {
         str(values): np.array(values, np.float32)
         for values in product(levels, repeat=int(np.prod(space.shape)))
@@ -56,8 +114,11 @@ def returns(env, act, seeds, sumo_drives=False):
     return np.array(totals), crashes
 
 
-def main(name, make, learner, steps, **settings):
-    """Train, test, and write down what was found; options of the command line change the sizes."""
+def main(name, make, learner, steps, levels=(-1.0, -0.5, 0.0, 0.5, 1.0), **settings):
+    """Train, test, and write down what was found; options of the command line change the sizes.
+
+    levels: of constant actions that are one number.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=steps)
     parser.add_argument("--episodes", type=int, default=100, help="of the test")
@@ -66,7 +127,7 @@ def main(name, make, learner, steps, **settings):
     given = parser.parse_args()
     torch.set_num_threads(1)
     begin = time.process_time()
-    seen = VecNormalize(DummyVecEnv([lambda: gym.wrappers.FlattenObservation(make())]), norm_reward=False)
+    seen = VecNormalize(learning(make()), norm_reward=False)
     kind = getattr(stable_baselines3, learner)
     model = kind("MlpPolicy", seen, seed=0, gamma=0.98, device="cpu", **SETTINGS[learner] | settings)
     model.learn(given.steps)
@@ -76,10 +137,11 @@ def main(name, make, learner, steps, **settings):
     def act(observation):
         return model.predict(seen.normalize_obs(observation), deterministic=True)[0]
 
-    env = gym.wrappers.FlattenObservation(make(render_mode="rgb_array"))
+    env = make(render_mode="rgb_array")
+    env = gym.wrappers.FlattenObservation(env) if isinstance(env, gym.Env) else Several(env)
     seeds = range(TEST, TEST + given.episodes)
     agent, crashes = returns(env, act, seeds)
-    tried = constants(env.action_space)
+    tried = constants(env.action_space, levels)
     first = {
         name: returns(env, lambda _, a=a: a, range(OTHERS, OTHERS + min(10, given.episodes)))[0].mean()
         for name, a in tried.items()

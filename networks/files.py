@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -53,7 +54,7 @@ def network(net_file: str | Path, routes: Routes = ()) -> Network:
         ValueError: there is no such file, it is no network with lanes inside its junctions, or a route leads over
             edges that it does not have or that are not connected (`check_route`, for vehicles of any class).
     """
-    path = Path(net_file).resolve()
+    path = Path(os.path.realpath(net_file))
     if not path.is_file():
         raise ValueError(f"there is no SUMO network {path}")
     return _with_routes(path, path.stat().st_mtime_ns, routes)

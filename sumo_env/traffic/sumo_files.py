@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import gzip
+import os
 import re
 import tempfile
 from collections.abc import Generator, Mapping, Sequence
@@ -98,7 +99,7 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
         ConfigError: one of them does not exist.
     """
     several = [given] if isinstance(given, str | Path) else list(given)
-    found = tuple(Path(path).resolve() for path in several)
+    found = tuple(Path(os.path.realpath(path)) for path in several)
     for path in found:
         if not path.is_file():
             raise ConfigError(f"{name}: there is no file {path}")

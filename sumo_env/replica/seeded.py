@@ -1,7 +1,7 @@
 """Seeded episodes drawn in compiled code: what `Task.scenario` and `Replica.load` give, to the bit.
 
-numba drives numpy's generators; one generator begins every stream anew, in its memory. Not here: the intersection,
-whose traffic warms up.
+numba drives numpy's generators; one of them is taken to the beginning of every stream by writing to its memory. Not
+here: the intersection, whose traffic warms up.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import math
 import zlib
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,19 +35,15 @@ ONE, HALF, ALL_BUT_ONE = map(np.uint64, (1, 32, 63))
 
 
 class Draws(NamedTuple):
-    """What all drawn episodes of a batch have in common."""
+    """What all drawn episodes of a batch have in common. A spot is a lane, s [m] and a speed [m/s]."""
 
     task: int  # place in KNOWN
-    state: np.ndarray  # of the generator, in its memory: two numbers of 128 bits in halves, the low one first
-    buffer: np.ndarray  # likewise: whether half a number is left, and which
     lanes: tables.Records
     ego: tables.Records  # shape (1,)
     drivers: tables.Records  # cars of the pools' drivers: of drawn and of fixed exponents, shape (2, POOL)
     is_fixed: bool  # whether the exponents of the task's drivers are
     routes: np.ndarray  # by goal (the ego's first), lane and leg
-    spots: (
-        np.ndarray
-    )  # lane, s [m] and speed [m/s] of the ego, and of others but for a deviation, shape (n, 3)
+    spots: np.ndarray  # of the ego, and of others but for a deviation, shape (n, 3)
     roads: np.ndarray  # first lane and number of lanes of the roads of further cars, shape (n, 2)
     counts: tuple[int, int]  # other vehicles in the ego's direction, and in the opposite one
     chosen: int  # the ego's lane, or the goal of the first of the others; NONE where it is drawn
@@ -58,73 +55,79 @@ class Draws(NamedTuple):
     events: tables.Records  # one of each kind, shape (3,)
 
 
-def draws_of(
-    task: Task, config: Config, lanes: tables.Lanes, speed_index: int
-) -> tuple[np.random.Generator, Draws] | None:
-    """What `draw` takes for a task under a resolved configuration; None where Python draws."""
-    if task.name not in KNOWN or AS_PYTHON:
+def draws_of(task: Task, config: Config, lanes: tables.Lanes, speed_index: int) -> Draws | None:
+    """How the episodes of a task are drawn under a resolved configuration; None where Python draws them."""
+    if task.name not in KNOWN or not has_known_memory():
         return None
-    rng, road = np.random.Generator(np.random.PCG64()), task.road(config)
-    address = rng.bit_generator.ctypes.state_address
-    where, rates, number = ctypes.c_uint64.from_address(address).value, task.risk_rates, lanes.numbers
-    ego = task.ego(config, road, rng)
+    road, number, rates, dose = task.road(config), lanes.numbers, task.risk_rates, float(config["risk"])
+    ego = task.ego(config, road, np.random.default_rng())
     other = ego._replace(id="v", changes_lanes=task.name != "two-way")
-    pools = [
-        DriverPool(task.car_following, float(config["risk"]), fixed, task.risk_ranges).drivers
-        for fixed in (False, True)
+    cars = [
+        tables.cars_of(road, [other._replace(driver=driver) for driver in pool.drivers])
+        for pool in (DriverPool(task.car_following, dose, fixed, task.risk_ranges) for fixed in (False, True))
     ]
-    goals, spots, count, chosen = (
-        [ego.destination],
-        [(ego.lane, ego.s, ego.speed)],
-        config["vehicles_count"],
-        None,
-    )
-    numbers, roads = (0.0, 0.0, 0.0), np.zeros((0, 2), np.int64)
+    goals, spots, roads = [ego.destination], [(ego.lane, ego.s, ego.speed)], np.zeros((0, 2), np.int64)
+    chosen, numbers = None, (0.0, 0.0, 0.0)
     if task.name == "highway":
-        shrink = math.exp(-5.0 / 40.0 * config["lanes_count"])
-        numbers, chosen = (
-            (config["ego_spacing"], 1.0 / config["vehicles_density"], shrink),
-            config["initial_lane_id"],
-        )
+        chosen, shrink = config["initial_lane_id"], math.exp(-5.0 / 40.0 * config["lanes_count"])
+        numbers = float(config["ego_spacing"]), 1.0 / config["vehicles_density"], shrink
     elif task.name == "two-way":
         numbers = float(config["road_length"]) - 90.0, 280.0, 0.0
         spots.append((two_way.ONCOMING, 0.0, 0.0))
     elif task.name == "roundabout":
-        goals += roundabout.DESTINATIONS
-        chosen = config["incoming_vehicle_destination"]
-        spots += [(lane, s, 16.0) for lane, s in roundabout.SLOTS]
+        chosen, goals = config["incoming_vehicle_destination"], [*goals, *roundabout.DESTINATIONS]
+        spots += [(lane, s, 0.0) for lane, s in roundabout.SLOTS]
         roads = np.array([(number[start, end, 0], abreast) for start, end, abreast in roundabout.EXTRA_ROADS])
     else:
         spots += u_turn.SLOTS
-    kinds = [
-        RiskEvent(0.0, "v", "cut-in"),
-        *(RiskEvent(0.0, "v", kind, **more) for kind, more in pushes(rates).items()),
-    ]
-    return rng, Draws(
+    kinds = [RiskEvent(0.0, "v", kind, **more) for kind, more in pushes(rates).items()]
+    return Draws(
         task=KNOWN.index(task.name),
-        state=np.ctypeslib.as_array((ctypes.c_uint64 * 4).from_address(where)),
-        buffer=np.ctypeslib.as_array((ctypes.c_uint32 * 2).from_address(address + 8)),
         lanes=lanes.table,
         ego=tables.cars_of(road, [ego]),
-        drivers=np.stack(
-            [tables.cars_of(road, [other._replace(driver=one) for one in pool]) for pool in pools]
-        ),
+        drivers=np.stack(cars),
         is_fixed=task.fixed_delta,
         routes=np.array([[tables.route_of(road, lane, goal) for lane in lanes.names] for goal in goals]),
         spots=np.array([(number[lane], s, speed) for lane, s, speed in spots], float),
         roads=roads,
-        counts=(int(count), int(config.get("oncoming_vehicles_count", 0))),
+        counts=(int(config["vehicles_count"]), int(config.get("oncoming_vehicles_count", 0))),
         chosen=NONE if chosen is None else int(chosen),
-        numbers=tuple(map(float, numbers)),
+        numbers=numbers,
         speed_index=speed_index,
-        dose=float(config["risk"]),
+        dose=dose,
         duration=float(config["duration"]),
         rates=(rates.cut_in, rates.brake, rates.surge),
-        events=tables.events_of(kinds, {"v": 0}),
+        events=tables.events_of([RiskEvent(0.0, "v", "cut-in"), *kinds], {"v": 0}),
     )
 
 
+def begin(draws: Draws, batch: Any, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Begin the episodes of these seeds in these rows of a batch.
+
+    Returns which of them there was room for, bool of shape (n,).
+    """
+    rng, done = np.random.Generator(np.random.PCG64(0)), np.zeros(len(rows), np.bool_)
+    draw(draws, rng, _memory(rng), batch, rows, seeds, done)
+    return done
+
+
 # -- streams ------------------------------------------------------------------------------------------------------
+
+
+def _memory(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Of a PCG64: its state and increment, each as two halves, the low one first; whether half a number is left."""
+    address = rng.bit_generator.ctypes.state_address
+    numbers = ctypes.c_uint64.from_address(address).value
+    state = np.ctypeslib.as_array((ctypes.c_uint64 * 4).from_address(numbers))
+    return state, np.ctypeslib.as_array((ctypes.c_uint32 * 1).from_address(address + 8))
+
+
+@cache
+def has_known_memory() -> bool:
+    """Whether numpy keeps a PCG64 in the memory as `_memory` reads it, and the kernels are compiled."""
+    rng = np.random.default_rng(1)
+    low, high, *_ = map(int, _memory(rng)[0])
+    return not AS_PYTHON and low + (high << 64) == rng.bit_generator.state["state"]["state"]
 
 
 @borrowing
@@ -136,9 +139,9 @@ def hashed(value: Any, key: Any, factor: Any) -> Any:
 
 
 @compiled
-def begin(state: Any, buffer: Any, seed: int, purpose: int) -> None:
+def go_to(memory: Any, seed: int, purpose: int) -> None:
     """Set a PCG64 to the beginning of ``streams.stream(seed, purpose)``."""
-    pool, key = np.zeros(4, np.int64), INIT_A
+    (state, buffer), pool, key = memory, np.zeros(4, np.int64), INIT_A
     pool[0], pool[1] = seed, purpose
     for k in range(4):
         pool[k], key = hashed(pool[k], key, TIMES_A)
@@ -171,7 +174,7 @@ def begin(state: Any, buffer: Any, seed: int, purpose: int) -> None:
 
 
 @compiled
-def on_highway(rng: Any, draws: Any, places: Any) -> int:
+def on_highway(draws: Any, rng: Any, places: Any) -> int:
     """Numbers: spacing of the ego, and of others, and what the lanes' number makes of it."""
     lanes, count, shrink = len(draws.lanes), draws.counts[0], draws.numbers[2]
     places[0, 0] = rng.integers(0, lanes) if draws.chosen == NONE else draws.chosen
@@ -187,7 +190,7 @@ def on_highway(rng: Any, draws: Any, places: Any) -> int:
 
 
 @compiled
-def on_two_way(rng: Any, draws: Any, places: Any) -> int:
+def on_two_way(draws: Any, rng: Any, places: Any) -> int:
     """Numbers: the lengths of road that two columns have [m]."""
     (own, oncoming), spots = draws.counts, draws.spots
     first, count = own + 1, own + oncoming + 1
@@ -201,7 +204,7 @@ def on_two_way(rng: Any, draws: Any, places: Any) -> int:
 
 
 @compiled
-def on_roundabout(rng: Any, draws: Any, places: Any) -> int:
+def on_roundabout(draws: Any, rng: Any, places: Any) -> int:
     """The first cars have places of their own, the others are placed where there is room."""
     spots, count = draws.spots, draws.counts[0] + 1
     places[0, :3] = spots[0]
@@ -210,14 +213,14 @@ def on_roundabout(rng: Any, draws: Any, places: Any) -> int:
         places[k, 3] = 1 + (draws.chosen if k == 1 and draws.chosen != NONE else goal)
         if k < len(spots):
             places[k, 0], places[k, 1] = spots[k, 0], spots[k, 1] + 2.0 * rng.normal()
-        elif not has_found_room(rng, draws, places, k):
+        elif not has_found_room(draws, rng, places, k):
             return k
         places[k, 2] = 16.0 + 2.0 * rng.normal()
     return count
 
 
 @compiled
-def has_found_room(rng: Any, draws: Any, places: Any, k: int) -> bool:
+def has_found_room(draws: Any, rng: Any, places: Any, k: int) -> bool:
     """`roundabout._free_place` for car `k`."""
     lanes = draws.lanes
     for _ in range(100):
@@ -236,7 +239,7 @@ def has_found_room(rng: Any, draws: Any, places: Any, k: int) -> bool:
 
 
 @compiled
-def on_u_turn(rng: Any, draws: Any, places: Any) -> int:
+def on_u_turn(draws: Any, rng: Any, places: Any) -> int:
     """Every car has a place of its own."""
     count = draws.counts[0] + 1
     places[:count, :3] = draws.spots[:count]
@@ -250,12 +253,12 @@ def on_u_turn(rng: Any, draws: Any, places: Any) -> int:
 
 
 @compiled
-def draw(rng: Any, draws: Any, batch: Any, rows: Any, seeds: Any, done: Any) -> None:
-    """Begin the episodes of these seeds in these rows of a batch; `done`: which of them, Python draws the others."""
+def draw(draws: Any, rng: Any, memory: Any, batch: Any, rows: Any, seeds: Any, done: Any) -> None:
+    """See `begin`."""
     for k in range(len(rows)):
         row, seed = rows[k], seeds[k]
-        count = place(rng, draws, batch.cars[row], seed)
-        events = happen(rng, draws, batch.events[row], count, seed)
+        count = place(draws, rng, memory, batch.cars[row], seed)
+        events = happen(draws, rng, memory, batch.events[row], count, seed)
         done[k] = count > 0 and events >= 0
         episode = batch.episodes[row]
         episode.cars, episode.events, episode.speed_index = count, events, draws.speed_index
@@ -264,21 +267,21 @@ def draw(rng: Any, draws: Any, batch: Any, rows: Any, seeds: Any, done: Any) -> 
 
 
 @compiled
-def place(rng: Any, draws: Any, cars: Any, seed: int) -> int:
-    """All cars at the start; returns their number, or 0 where Python draws."""
-    if len(cars) <= draws.counts[0] + draws.counts[1]:  # too little room in the table
+def place(draws: Any, rng: Any, memory: Any, cars: Any, seed: int) -> int:
+    """All cars at the start; returns their number, or 0 where there is no room for them in the table."""
+    if len(cars) <= draws.counts[0] + draws.counts[1]:
         return 0
     places = np.zeros((len(cars), 4))  # lane, s [m], speed [m/s] and goal
-    begin(draws.state, draws.buffer, seed, SCENARIO)
+    go_to(memory, seed, SCENARIO)
     if draws.task == HIGHWAY:
-        count = on_highway(rng, draws, places)
+        count = on_highway(draws, rng, places)
     elif draws.task == TWO_WAY:
-        count = on_two_way(rng, draws, places)
+        count = on_two_way(draws, rng, places)
     elif draws.task == ROUNDABOUT:
-        count = on_roundabout(rng, draws, places)
+        count = on_roundabout(draws, rng, places)
     else:
-        count = on_u_turn(rng, draws, places)
-    begin(draws.state, draws.buffer, seed, DRIVERS)
+        count = on_u_turn(draws, rng, places)
+    go_to(memory, seed, DRIVERS)
     drawn = np.zeros(1, np.int64)
     for j in range(count):
         car, number, goal, s = cars[j], int(places[j, 0]), int(places[j, 3]), places[j, 1]
@@ -316,11 +319,11 @@ def lane_at(lanes: Any, x: float, y: float, heading: float) -> int:
 
 
 @compiled
-def happen(rng: Any, draws: Any, events: Any, count: int, seed: int) -> int:
-    """`risk.draw_events`; returns their number, or NONE where Python draws."""
+def happen(draws: Any, rng: Any, memory: Any, events: Any, count: int, seed: int) -> int:
+    """`risk.draw_events`; returns their number, or NONE where there is no room for them in the table."""
     if draws.dose <= 0.0:
         return 0
-    begin(draws.state, draws.buffer, seed, EVENTS)
+    go_to(memory, seed, EVENTS)
     found = 0
     for car in range(1, count):
         for kind in range(len(draws.events)):
@@ -328,7 +331,7 @@ def happen(rng: Any, draws: Any, events: Any, count: int, seed: int) -> int:
                 time, keep, side = rng.random() * draws.duration, rng.random(), rng.random()
                 if keep >= draws.dose:
                     continue
-                if found == len(events):  # too little room in the table
+                if found == len(events):
                     return NONE
                 at = found
                 while at > 0 and events[at - 1].time > time:

@@ -93,7 +93,7 @@ class ReplicaVectorEnv(VectorEnv):
         self._ahead: dict[int, tuple[Start, Any]] = {}
         self._over = np.zeros(num_envs, np.bool_)
         self._law: Any = None  # a `Law`, from the first reset on
-        self._draws: Any = None  # where compiled code draws the episodes
+        self._draws: seeded.Draws | None = None  # where compiled code draws the episodes
         self._controls = np.zeros((num_envs, 2))  # accelerations and angles of egos that are steered
         assert single.eyes is not None
         self._batch = kernels.no_episodes(num_envs, single.eyes.rows, len(single.eyes.features))
@@ -195,8 +195,7 @@ class ReplicaVectorEnv(VectorEnv):
                 self._begin(row, self._next(row))
             return
         seeds = np.array([self._generators[row].integers(2**31) for row in rows.tolist()], np.int64)
-        done = np.zeros(len(rows), np.bool_)
-        seeded.draw(*self._draws, self._batch, rows, seeds, done)
+        done = seeded.begin(self._draws, self._batch, rows, seeds)
         for row, seed in zip(rows[~done].tolist(), seeds[~done].tolist(), strict=True):
             self._begin(row, self._single.replica.load(self._single.task.scenario(self._single._law, seed)))
 

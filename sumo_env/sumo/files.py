@@ -66,8 +66,7 @@ class FileSimulator(SumoSimulator):
         energy, lights = self._traffic.measures_energy, self._scenario.obeys_lights
         for name in self._came:
             if name in self._modes and name not in self._cars:
-                ego = RouteEgo(self._session, self._network, name, lights, energy)
-                self._cars[name] = Car(self._session, name, ego, self._network.meeting)
+                self._take(name, RouteEgo(self._session, self._network, name, lights, energy))
 
     def _episode_folder(self) -> Path:
         """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted with the simulator."""

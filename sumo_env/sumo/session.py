@@ -39,7 +39,7 @@ LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
 CENTRED = 0.05  # [m] from the middle of a lane
-EGO_COLOUR = (0, 150, 255, 255)
+EGO_COLOUR, FURTHER_COLOUR = (0, 150, 255, 255), (130, 200, 255, 255)
 VIEW, SEEN = "View #0", 100.0  # in SUMO's own window, and how much of the road it shows [m]
 
 
@@ -120,11 +120,12 @@ class Session:
             with contextlib.suppress(*self.errors):  # SUMO's window may be closed already
                 self._sumo.close()
 
-    def follow(self, name: str) -> None:
-        """In SUMO's own window: a colour for a vehicle, and the view goes with it."""
+    def follow(self, name: str, is_first: bool) -> None:
+        """In SUMO's own window: the colour of a learning car, and the view goes with the first one."""
         if self._sumo.hasGUI():
-            self._vehicle.setColor(name, EGO_COLOUR)
-            self._sumo.gui.trackVehicle(VIEW, name)
+            self._vehicle.setColor(name, EGO_COLOUR if is_first else FURTHER_COLOUR)
+            if is_first:
+                self._sumo.gui.trackVehicle(VIEW, name)
 
     # -- vehicles ------------------------------------------------------------------------------------------
 

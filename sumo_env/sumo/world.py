@@ -57,9 +57,7 @@ class SumoSimulator:
         """Place a scenario, drive its warm-up, and return the first scene."""
         for _ in range(2):  # SUMO may have been closed, or loaded with something else, behind our back
             try:
-                scene = self._begin(scenario)
-                self._session.follow(scene.ids[0])
-                return scene
+                return self._begin(scenario)
             except self._session.errors as error:
                 self._session.forget()
                 self._check_window(error)
@@ -128,9 +126,13 @@ class SumoSimulator:
         for spec in scenario.cars:
             self._place(spec)
         for spec in scenario.cars:
-            ego = Ego(self._session, scenario, self._network, spec)
-            self._cars[spec.id] = Car(self._session, spec.id, ego, self._network.meeting)
+            self._take(spec.id, Ego(self._session, scenario, self._network, spec))
         return self._read()
+
+    def _take(self, name: str, ego: Any) -> None:
+        """A learning car is on the road."""
+        self._session.follow(name, is_first=not self._cars)
+        self._cars[name] = Car(self._session, name, ego, self._network.meeting)
 
     def _settings(self, scenario: Scenario) -> Settings:
         """What has to be loaded: the network, and every driver that may come.

@@ -26,19 +26,10 @@ from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.screen import OnScreen
 from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
-from sumo_env.sumo.options import (
-    OUTPUT_DIR,
-    REFUSED,
-    REFUSED_FOR_FILES,
-    check_effect,
-    check_live,
-    check_options,
-)
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
-from sumo_env.traffic.foreign import check_outputs
 from sumo_env.traffic.scenario import Scenario
 
 Observation = NDArray[np.float32]
@@ -62,6 +53,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
         sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
         live: None or ``"sumo-gui"``, SUMO's own window (docs/windows.md).
+        output_dir: on a network of your own, folder for SUMO's outputs, with files of its own for each episode of each
+            environment.
 
     Raises:
         ConfigError: unknown task or key, wrong value.
@@ -79,21 +72,13 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
         live: str | None = None,
+        output_dir: str | Path | None = None,
         **misplaced: Any,
     ) -> None:
         refuse_misplaced(misplaced)
-        if simulator is not None and (sumo_options or live):
-            raise ValueError(
-                "sumo_options and live are for SUMO, which this environment starts itself: leave out `simulator`"
-            )
-        self._live = check_live(live)
         self.task: Task = get_task(task)
+        self._prepare_sumo(self.task, simulator, sumo_options, live, output_dir)
         self._open(render_mode)
-        self._given = self._simulator = simulator
-        refused = REFUSED_FOR_FILES if isinstance(self.task, NetworkTask) else REFUSED
-        self._options = check_options(sumo_options, refused)
-        if not isinstance(self.task, NetworkTask):
-            check_effect(self._options)
         self._configured: Config | None = None
         self.scenario: Scenario | None = None
         self._handed_over = False
@@ -188,10 +173,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             raise ConfigError(str(error)) from error
         self._refuse_backwards("the ego at the start", ego.speed)
         self.scenario = scenario
-        if self._simulator is None:
-            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
         self._commands: list[Commands] = []
-        return scenario, self._simulator.reset(scenario)
+        return scenario, self._open_simulator().reset(scenario)
 
     def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
         """The ego is on the road: its first observation and ``info``."""
@@ -436,7 +419,6 @@ class SumoDrivingEnv(DrivingEnv):
         ego_trips: in place of a route, pairs of edges (from, to), of which one is drawn; SUMO finds the route.
         ego_vehicle: in place of a route, the id of a vehicle of the files, which is the ego.
         ego_type: vehicle type of an ego that is added; SUMO's default, else.
-        output_dir: folder for SUMO's outputs, with files of its own for each episode of each environment.
         keywords: as of `DrivingEnv`.
 
     Raises:
@@ -458,7 +440,6 @@ class SumoDrivingEnv(DrivingEnv):
         ego_trips: Sequence[tuple[str, str]] = (),
         ego_vehicle: str = "",
         ego_type: str = "",
-        output_dir: str | Path | None = None,
         **keywords: Any,
     ) -> None:
         try:
@@ -474,10 +455,3 @@ class SumoDrivingEnv(DrivingEnv):
         except ValueError as error:
             raise ConfigError(str(error)) from error
         super().__init__(task, config, **keywords)
-        if output_dir is not None:
-            check_outputs(task.outputs)
-            outputs = [f"--{name}={value}" for name, value in task.outputs]
-            self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
-        elif task.outputs:
-            names = ", ".join(name for name, _ in task.outputs)
-            gym.logger.warn(f"{network}: its outputs are off ({names}); output_dir=... writes them")

@@ -111,6 +111,7 @@ class Cars:
         for number, command in commands.items():
             name, env = ids[number], self.envs[number]
             self._let_see(env, name)
+            env._is_closed = self.first._is_closed
             results[number] = env._after(actions[number], command, step.scene.seen_by(name), step.egos[name])
         if 0 not in actions:
             self.first.scene = step.scene

@@ -68,7 +68,9 @@ class OwnSumo:
             self._options = check_options(options, REFUSED)
             check_effect(self._options)
             if output_dir is not None:
-                raise ConfigError("output_dir is for networks of your own; sumo_options name outputs of this task")
+                raise ConfigError(
+                    "output_dir is for networks of your own; sumo_options name outputs of this task"
+                )
             return
         self._options = check_options(options, REFUSED_FOR_FILES)
         if output_dir is not None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from sumo_env.as_highway_env import class_or_instance
 from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_misplaced
-from sumo_env.env import VARIED, DrivingEnv, Observation
+from sumo_env.driving import VARIED, DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import OFFSETS, Kinematics
 from sumo_env.occupancy import OccupancyGrid

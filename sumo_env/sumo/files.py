@@ -16,7 +16,7 @@ import numpy as np
 from sumo_env.scene import NO_LIGHT, Scene
 from sumo_env.simulator import Commands, SimulatorError, Step
 from sumo_env.sumo.car import Car
-from sumo_env.sumo.events import Events
+from sumo_env.sumo.events import Events, deviate
 from sumo_env.sumo.options import OUTPUT_DIR
 from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR
@@ -205,7 +205,7 @@ class FileSimulator(SumoSimulator):
             return
         model = self._models.get(self._session.type_of(name), "")
         drawn = Deviation.draw(self._traffic.ranges, self._scenario.risk, self._scenario.seed, name)
-        self._session.deviate(name, drawn.of_model(model))
+        deviate(self._session, name, drawn.of_model(model))
         if self._time >= 0.0:
             self._plan(name, self._time)
 

@@ -97,8 +97,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         if changed.get("manual_control") and self.render_mode != "human":
             raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)
-        if offered.actions:
-            self._refuse_backwards("'target_speeds'", offered.target_speeds[0])
+        if offered.action_type.names:
+            self._refuse_backwards("'target_speeds'", offered.action_type.target_speeds[0])
         self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
         self._offered = offered
         self.config: Config = changed  # after all checks: an error leaves the environment as it was
@@ -109,7 +109,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     def define_spaces(self) -> None:
         """Set the types and spaces of observation and action, whenever the configuration changes."""
         self._action_type, self._observation_type = self._offered
-        self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
+        self.actions, self.target_speeds = self._action_type.names, self._action_type.target_speeds
         self._own_observation = None
         self.observation_space, self.action_space = self._observation_type.space, self._action_type.space
 
@@ -169,8 +169,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             raise ConfigError(str(error)) from error
         self._refuse_backwards("the ego at the start", ego.speed)
         self.scenario = scenario
+        if self._simulator is None:
+            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
         self._commands: list[Commands] = []
-        return scenario, self._open_simulator().reset(scenario)
+        return scenario, self._simulator.reset(scenario)
 
     def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
         """The ego is on the road: its first observation and ``info``."""

@@ -81,12 +81,6 @@ class OwnSumo:
             names = ", ".join(name for name, _ in task.outputs)
             gym.logger.warn(f"{task.net}: its outputs are off ({names}); output_dir=... writes them")
 
-    def _open_simulator(self) -> Simulator:
-        """The simulator, which is SUMO unless there was another one."""
-        if self._simulator is None:
-            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
-        return self._simulator
-
     def export(self, folder: str | Path) -> list[Path]:
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
 

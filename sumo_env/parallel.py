@@ -146,10 +146,11 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
             return {}, {}, {}, {}, {}
         acting = {self.possible_agents.index(agent): actions[agent] for agent in self.agents}
         results, come = self._cars.step(acting)
-        observations, rewards, ends, truncations, infos = (
+        parts: list[dict[str, Any]] = [
             {self.possible_agents[number]: result[part] for number, result in results.items()}
             for part in range(5)
-        )
+        ]
+        observations, rewards, ends, truncations, infos = parts
         if self._follows_first:
             rewards = dict.fromkeys(rewards, results[0][1])
             ends = {agent: results[0][2] or self.cars[agent].ego_state.crashed for agent in ends}

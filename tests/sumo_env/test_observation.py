@@ -118,5 +118,5 @@ def test_actions_are_those_of_highway_env(task: str, action: dict[str, Any]) -> 
 def test_a_ladder_that_is_not_given_is_the_tasks(task: str) -> None:
     """highway-env falls back to the highway's, because it replaces the whole entry."""
     config = resolve(task, TASKS[task].defaults, {"action": {"type": "DiscreteMetaAction"}})
-    assert interface(TASKS[task], config).target_speeds == TASKS[task].target_speeds
+    assert interface(TASKS[task], config).action_type.target_speeds == TASKS[task].target_speeds
     assert ENVIRONMENTS[task](config).vehicle.target_speeds.tolist() == list(TASKS[task].target_speeds)

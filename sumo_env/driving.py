@@ -73,7 +73,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     ) -> None:
         refuse_misplaced(misplaced)
         self.task: Task = get_task(task)
-        self._prepare_sumo(self.task, simulator, sumo_options, live, output_dir)
+        self._prepare_sumo(simulator, sumo_options, live, output_dir)
         self._open(render_mode)
         self._configured: Config | None = None
         self.scenario: Scenario | None = None

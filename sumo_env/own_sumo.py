@@ -38,6 +38,7 @@ from sumo_env.traffic.sumo_files import is_output
 class OwnSumo:
     """The part of `DrivingEnv` that starts its SUMO and hands it out."""
 
+    task: Task
     scene: Scene
     scenario: Scenario | None
     _given: Simulator | None
@@ -50,7 +51,6 @@ class OwnSumo:
 
     def _prepare_sumo(
         self,
-        task: Task,
         simulator: Simulator | None,
         options: Sequence[str],
         live: str | None,
@@ -64,7 +64,7 @@ class OwnSumo:
             )
         self._given = self._simulator = simulator
         self._live = check_live(live)
-        if not isinstance(task, NetworkTask):
+        if not isinstance(self.task, NetworkTask):
             self._options = check_options(options, REFUSED)
             check_effect(self._options)
             if output_dir is not None:
@@ -74,12 +74,12 @@ class OwnSumo:
             return
         self._options = check_options(options, REFUSED_FOR_FILES)
         if output_dir is not None:
-            check_outputs(task.outputs)
-            outputs = [f"--{name}={value}" for name, value in task.outputs]
+            check_outputs(self.task.outputs)
+            outputs = [f"--{name}={value}" for name, value in self.task.outputs]
             self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
-        elif task.outputs:
-            names = ", ".join(name for name, _ in task.outputs)
-            gym.logger.warn(f"{task.net}: its outputs are off ({names}); output_dir=... writes them")
+        elif self.task.outputs:
+            names = ", ".join(name for name, _ in self.task.outputs)
+            gym.logger.warn(f"{self.task.net}: its outputs are off ({names}); output_dir=... writes them")
 
     def export(self, folder: str | Path) -> list[Path]:
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.

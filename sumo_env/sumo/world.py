@@ -107,20 +107,23 @@ class SumoSimulator:
 
     # -- start of an episode -------------------------------------------------------------------------------
 
-    def _begin(self, scenario: Scenario) -> Scene:
-        self._scenario = scenario
-        self._network = scenario.network
+    def _prepare(self, scenario: Scenario) -> None:
+        """Nobody is on the road yet."""
+        self._scenario, self._network = scenario, scenario.network
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
+        self._modes: dict[str, tuple[int, int]] = {}  # vehicles on the road, with SUMO's modes
+        self._crashed: dict[str, float] = {}  # crashed vehicles but learning cars -> speed [m/s]
+        self._cars: dict[str, Car[Any]] = {}  # the learning cars on the road
+        self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
+
+    def _begin(self, scenario: Scenario) -> Scene:
+        self._prepare(scenario)
         settings = self._settings(scenario)
         if _leaves_traces(scenario):
             self._session.load(replace(settings, options={**settings.options, "seed": str(scenario.seed)}))
         elif not self._session.clear(settings):
             self._session.load(settings)
-        self._modes: dict[str, tuple[int, int]] = {}  # vehicles on the road, with SUMO's modes
-        self._crashed: dict[str, float] = {}  # crashed vehicles but learning cars -> speed [m/s]
-        self._cars: dict[str, Car[Ego]] = {}  # the learning cars on the road
-        self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
         self._steps_done = 0
         self._drive_warm_up()
         for spec in scenario.cars:

@@ -99,6 +99,10 @@ class ReplicaEnv(DrivingEnv):
         version: int = 0,
         **misplaced: Any,
     ) -> None:
+        if of_sumo := misplaced.keys() & {"live", "sumo_options", "output_dir"}:
+            raise ConfigError(
+                f"{', '.join(sorted(of_sumo))}: there is no SUMO on the replica; sumo/* has one"
+            )
         refuse_misplaced(misplaced)
         if version and (task, version) not in VERSIONS:
             known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config, ConfigError, pace, simulated_frequency
+from sumo_env.config import MEASURED, Config, ConfigError, pace, simulated_frequency
 from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
@@ -25,6 +25,7 @@ from sumo_env.traffic.drivers import (
     DriverPool,
     RiskRanges,
 )
+from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
 from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id
 
@@ -79,6 +80,7 @@ class Task:
     warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
     risk_ranges: ClassVar[RiskRanges] = RISK_RANGES
     risk_rates: ClassVar[RiskRates] = RiskRates()
+    measured: ClassVar[MeasuredPool | None] = None  # the drivers of config["drivers"] = "measured"
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
     target_speeds: tuple[float, ...] = TARGET_SPEEDS
     # where further learning cars start, each with the ego's speed and destination: lane, s [m]
@@ -141,12 +143,20 @@ class Task:
         """Vehicles that are added later, or at the end of the warm-up (intersection only)."""
         return []
 
-    def pools(self, dose: float) -> tuple[DriverPool, ...]:
-        """Every driver that may occur in a scenario of this dose, the ego's included."""
-        chosen = {(0.0, True), (dose, True), (dose, False)}
-        return tuple(
-            DriverPool(self.car_following, risk, fixed, self.risk_ranges) for risk, fixed in sorted(chosen)
+    def pool(self, config: Config, fixed_delta: bool) -> DriverPool | MeasuredPool:
+        """The drivers that those of a scenario are drawn from."""
+        ranges = self.risk_ranges
+        return self._measured(config) or DriverPool(
+            self.car_following, float(config["risk"]), fixed_delta, ranges
         )
+
+    def _measured(self, config: Config) -> MeasuredPool | None:
+        return self.measured if config.get("drivers") == MEASURED else None
+
+    def pools(self, config: Config) -> tuple[DriverPool | MeasuredPool, ...]:
+        """Every driver that may occur in a scenario, the ego's included."""
+        ego = DriverPool(self.car_following, 0.0, True, self.risk_ranges)
+        return tuple(dict.fromkeys((ego, self.pool(config, False), self.pool(config, True))))
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         """The raw terms of the reward, by highway-env's names."""
@@ -220,7 +230,7 @@ class Task:
         vehicles = self.vehicles(config, road, ego, rng, drivers)
         spawns = tuple(self.spawns(config, road, seed, drivers))
         events = self.events(config, vehicles, spawns, seed)
-        cars = cars_count(config)
+        cars, measured = cars_count(config), self._measured(config)
         if cars > 1:
             vehicles = self.with_cars(config, road, ego, vehicles, cars, rng)
         ids = [ego.id, *(spec.id for spec in vehicles), *(spawn.vehicle.id for spawn in spawns)]
@@ -241,8 +251,8 @@ class Task:
             net=self.net or road.name,
             road_arguments=road.arguments,
             routes=self._routes,
-            pools=self.pools(config["risk"]),
-            calibration=self.calibration,
+            pools=self.pools(config),
+            calibration=measured.calibration if measured else self.calibration,
             obeys_lights=bool(config.get("obey_traffic_lights", False)),
             further=tuple(car_id(number) for number in range(1, cars)),
         )
@@ -255,10 +265,7 @@ class Drivers:
         self._rng = stream(seed, "drivers")
         self._drawn: list[int] = []
         self._fixed_delta = task.fixed_delta
-        self._pool = {
-            fixed: DriverPool(task.car_following, float(config["risk"]), fixed, task.risk_ranges).drivers
-            for fixed in (True, False)
-        }
+        self._pool = {fixed: task.pool(config, fixed).drivers for fixed in (True, False)}
 
     def next(self, fixed_delta: bool | None = None) -> Driver:
         """The driver of the next vehicle; `fixed_delta` overrides the task's own choice."""

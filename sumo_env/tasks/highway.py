@@ -11,6 +11,7 @@ from sumo_env.networks.roads import LaneIndex, Road, highway
 from sumo_env.scene import MAX_SPEED, PERCEPTION_DISTANCE, Floats
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration
+from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec, car_id
 
@@ -52,6 +53,7 @@ class Highway(Task):
         "150": {"vehicles_count": 150, "vehicles_density": 2.0, "duration": 20},
     }
     calibration = Calibration(speed_gain=100.0, speed_gain_lookahead=35.0, assertive=0.9)
+    measured = MeasuredPool()  # LC2013 as it comes: .3 lane changes a minute, as in measured traffic
     risk_rates = RiskRates(cut_in=0.035, brake=0.02, brake_decel=3.0)
 
     def __init__(self, changed: Config | None = None) -> None:

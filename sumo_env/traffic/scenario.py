@@ -22,6 +22,7 @@ from sumo_env.traffic.drivers import (
     DriverPool,
     RiskRanges,
 )
+from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import RiskEvent, RiskRates
 
 EGO = "ego"
@@ -168,7 +169,7 @@ class Scenario:
     net: str = ""
     road_arguments: tuple[tuple[str, float], ...] = ()
     routes: files.Routes = ()
-    pools: tuple[DriverPool, ...] = ()
+    pools: tuple[DriverPool | MeasuredPool, ...] = ()
     calibration: Calibration = UNCALIBRATED
     obeys_lights: bool = False
     traffic: SumoTraffic | None = None

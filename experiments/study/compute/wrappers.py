@@ -12,6 +12,7 @@ from agents.greedy import with_column
 from agents.streams import episode_seed
 from experiments.study.design.rules import TrainingRules
 from experiments.study.design.traffic import Traffic
+from sumo_env.config import MEASURED
 from sumo_env.traffic.scenario import Scenario
 
 Env = gym.Env[Any, Any]
@@ -116,9 +117,18 @@ class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode: draw the scenario of the seed in regular and in risky traffic, and mix the two."""
+        """Begin an episode: draw the scenario of the seed in regular and in risky traffic, and mix the two.
+
+        Measured drivers drive the scenario of regular traffic.
+        """
         drawn: list[Scenario] = []
-        for risk in (0.0, 1.0):
+        inner: Any = self.env.unwrapped
+        measured = self._traffic.drivers == MEASURED
+        for risk in (0.0,) if measured else (0.0, 1.0):
             self.env.reset(seed=seed, options={"config": {"risk": risk}})
-            drawn.append(self.env.unwrapped.scenario)  # type: ignore[attr-defined]
-        return self.env.reset(seed=seed, options={"scenario": self._traffic.scenario(*drawn)})
+            drawn.append(inner.scenario)
+        if measured:
+            mixed = inner.task.scenario({**inner.config, "drivers": MEASURED}, drawn[0].seed)
+        else:
+            mixed = self._traffic.scenario(*drawn)
+        return self.env.reset(seed=seed, options={"scenario": mixed})

@@ -26,7 +26,7 @@ from experiments.study.design.grid import (
 )
 from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
-from experiments.study.design.traffic import BETWEEN, TRAFFICS, unseen_traffics
+from experiments.study.design.traffic import BETWEEN, TRAFFICS, further_traffics, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
@@ -76,6 +76,8 @@ class Experiment:
     """Other simulators on which the trained agents are tested as well."""
     unseen: Flag = False
     """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
+    traffics: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
+    """Further traffics to test in: measured (drivers as published), or any other one by its name."""
     frontier: Flag = False
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
@@ -183,6 +185,9 @@ class Experiment:
             yield replace(agent, kind="test", test_on={**here, "traffics": list(BETWEEN)})
         if self.unseen:
             traffics = list(unseen_traffics(agent.task, self.backend))
+            yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
+        if self.traffics:
+            traffics = list(further_traffics(self.traffics, self.backend))
             yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:

@@ -6,12 +6,13 @@ of its training. It is the traffic at dose 1 with something taken away or exchan
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from agents.streams import stream
-from experiments.support.errors import unknown
+from experiments.support.errors import UserError, unknown
+from sumo_env.config import MEASURED
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.scenario import Scenario
@@ -25,7 +26,8 @@ class Traffic:
 
     dose: of risk; where it is drawn by the episode's seed, its mean. drawn: "either" is 0 or 1, "any" any dose between.
     events: the kind of risk events that there is alone, "" for none, None for all. drivers: None for those of the dose,
-    "regular" for those of dose 0, or attributes of another car-following model of SUMO, for the drivers of the dose.
+    "regular" for those of dose 0, "measured" for those of `sumo_env.traffic.measured`, or attributes of another
+    car-following model of SUMO, for the drivers of the dose.
     """
 
     name: str
@@ -92,6 +94,7 @@ ALL: dict[str, Traffic] = {
         Traffic("only-parameters", 1.0, events=""),
         Traffic("krauss", 1.0, drivers=KRAUSS),
         Traffic("eidm", 1.0, drivers=EIDM),
+        Traffic(MEASURED, 0.0, drivers=MEASURED),
     )
 }
 TRAFFICS = ("regular", "risky")  # what every agent is tested in
@@ -110,14 +113,27 @@ def traffic_named(name: str) -> Traffic:
 def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
     """The traffics of UNSEEN that differ from regular and risky traffic in a task, on a backend.
 
-    Kinds of events that the task does not have are skipped, and SUMO's models on other simulators.
+    Kinds of events that the task does not have are skipped, and SUMO's models on other simulators. Measured drivers are
+    no part of the risk, and younger than the published tests: they are asked for by name (`further_traffics`).
     """
     rates = TASKS[task].risk_rates
 
     def differs(one: Traffic) -> bool:
+        if one.drivers == MEASURED:
+            return False
         if isinstance(one.drivers, Mapping):
             return backend == "sumo"
         kinds = [one.events] if one.events else ["cut-in", "brake", "surge"]
         return any(getattr(rates, kind.replace("-", "_")) > 0 for kind in kinds)
 
     return tuple(name for name in UNSEEN if differs(ALL[name]))
+
+
+def further_traffics(names: Sequence[str], backend: str = "sumo") -> tuple[str, ...]:
+    """These traffics, each once. Raises UserError for one that there is not, or that the backend cannot drive."""
+    for name in names:
+        if traffic_named(name).drivers == MEASURED and backend != "sumo":
+            raise UserError(
+                f"the backend {backend} has no measured drivers: leave out {name!r}, or take sumo"
+            )
+    return tuple(dict.fromkeys(names))

@@ -519,12 +519,36 @@ def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dic
     return found
 
 
+def road_units() -> str:
+    """The lines of the table of doses in units of the road; without those in which nothing happens."""
+    units = {
+        "headway_5": ("5 % of headways below [s]", 1),
+        "headway": ("median headway [s]", 1),
+        "braking_4.4": ("braking above 4.4 m/s² (0.45 g)", 2),
+        "cut_ins": ("cut-ins", 2),
+        "lane_changes": ("lane changes", 2),
+    }
+    return "\n".join(
+        f"| {task} | {name} | {' | '.join(plain(value, digits) for value in rows[unit])} |"
+        for task, rows in table("road-units.parquet").groupby("task", sort=False)
+        for unit, (name, digits) in units.items()
+        if rows[unit].any()
+    )
+
+
+def road_ratio(task: str, unit: str, traffic: str, other: str) -> str:
+    """How many times the rate of another traffic one has."""
+    rates = chosen(table("road-units.parquet"), task=task).set_index("traffic")[unit]
+    return plain(rates[traffic] / rates[other], 0)
+
+
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
     above_frontier, additional_crashes, avoidable, change, checked, checks, decided, effect, entering, failing, hazard,
     late_crashes, missed, more_crashes, other_learner, other_learners, passing, planner_scenarios, planners, price,
-    price_limits, progress, rate, returns, row, settings, tasks, validation, variant, with_noise_of_episodes,
+    price_limits, progress, rate, returns, road_ratio, road_units, row, settings, tasks, validation, variant,
+    with_noise_of_episodes,
 ]  # fmt: skip
 
 

@@ -145,13 +145,9 @@ class Task:
 
     def pool(self, config: Config, fixed_delta: bool) -> DriverPool | MeasuredPool:
         """The drivers that those of a scenario are drawn from."""
-        ranges = self.risk_ranges
-        return self._measured(config) or DriverPool(
-            self.car_following, float(config["risk"]), fixed_delta, ranges
-        )
-
-    def _measured(self, config: Config) -> MeasuredPool | None:
-        return self.measured if config.get("drivers") == MEASURED else None
+        if config.get("drivers") == MEASURED and self.measured:
+            return self.measured
+        return DriverPool(self.car_following, float(config["risk"]), fixed_delta, self.risk_ranges)
 
     def pools(self, config: Config) -> tuple[DriverPool | MeasuredPool, ...]:
         """Every driver that may occur in a scenario, the ego's included."""
@@ -230,7 +226,7 @@ class Task:
         vehicles = self.vehicles(config, road, ego, rng, drivers)
         spawns = tuple(self.spawns(config, road, seed, drivers))
         events = self.events(config, vehicles, spawns, seed)
-        cars, measured = cars_count(config), self._measured(config)
+        cars, pool = cars_count(config), self.pool(config, True)
         if cars > 1:
             vehicles = self.with_cars(config, road, ego, vehicles, cars, rng)
         ids = [ego.id, *(spec.id for spec in vehicles), *(spawn.vehicle.id for spawn in spawns)]
@@ -252,7 +248,7 @@ class Task:
             road_arguments=road.arguments,
             routes=self._routes,
             pools=self.pools(config),
-            calibration=measured.calibration if measured else self.calibration,
+            calibration=pool.calibration if isinstance(pool, MeasuredPool) else self.calibration,
             obeys_lights=bool(config.get("obey_traffic_lights", False)),
             further=tuple(car_id(number) for number in range(1, cars)),
         )

@@ -119,16 +119,16 @@ class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode: draw the scenario of the seed in regular and in risky traffic, and mix the two.
 
-        Measured drivers drive the scenario of regular traffic.
+        Measured drivers stand in the places of regular traffic, where there is nothing to mix.
         """
-        drawn: list[Scenario] = []
         inner: Any = self.env.unwrapped
-        measured = self._traffic.drivers == MEASURED
-        for risk in (0.0,) if measured else (0.0, 1.0):
+
+        def draw(risk: float) -> Scenario:
             self.env.reset(seed=seed, options={"config": {"risk": risk}})
-            drawn.append(inner.scenario)
-        if measured:
-            mixed = inner.task.scenario({**inner.config, "drivers": MEASURED}, drawn[0].seed)
+            return inner.scenario  # type: ignore[no-any-return]
+
+        if self._traffic.drivers == MEASURED:
+            drawn = inner.task.scenario({**inner.config, "risk": 0.0, "drivers": MEASURED}, draw(0.0).seed)
         else:
-            mixed = self._traffic.scenario(*drawn)
-        return self.env.reset(seed=seed, options={"scenario": mixed})
+            drawn = self._traffic.scenario(draw(0.0), draw(1.0))
+        return self.env.reset(seed=seed, options={"scenario": drawn})

@@ -9,7 +9,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from docs.road_units import Traced, measures
+from docs.road_units import Traced, episodes, measures
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.replica.env import ReplicaEnv
@@ -272,3 +272,13 @@ def test_who_rolls_up_to_the_roundabout_takes_the_published_gaps() -> None:
         for before in (12.0, 20.0)
     ]
     assert 3.3 < np.mean(found) < 4.7
+    assert (
+        smallest_gap("roundabout", driver, way, stream, 8.0) > 5.0
+    )  # from rest SUMO wants the speeds to fit
+
+
+@pytest.mark.parametrize("task", ["roundabout", "intersection"])
+def test_they_do_not_collide_with_each_other(task: str) -> None:
+    for _, scenes in episodes(task, {"drivers": "measured"}, 12):
+        last = scenes[-1]
+        assert last.crashed[1:].sum() == last.crashed[0]  # nobody, or the ego and one other

@@ -47,10 +47,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         ConfigError: the reward cannot be normalised, the entry of the action or of the observation is malformed, or the
             simulator has no use for it.
     """
-    if config["drivers"] == MEASURED and (steers or task.measured is None):
+    if config["drivers"] == MEASURED and (steers or isinstance(task, NetworkTask)):
         raise ConfigError(
-            f"config key 'drivers' cannot be {MEASURED!r} here: only SUMO has measured drivers, in the five tasks "
-            "and in tasks of your own with `measured`; choose 'highway-env'"
+            "config key 'drivers' can only be 'highway-env' here: measured drivers are for sumo/*"
         )
     kind = action_type(config["action"], task.target_speeds, steers)
     limits = task.reward_limits(config)

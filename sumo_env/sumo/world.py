@@ -28,7 +28,6 @@ from sumo_env.sumo.options import LIVE, check_options
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
 from sumo_env.sumo.settings import Settings, placed_settings
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
-from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
@@ -48,7 +47,7 @@ class SumoSimulator:
         self._options = check_options([option for option in options if option != LIVE])
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._kept: dict[str, Driver] = {}  # those of them that stay loaded
-        self._pools: tuple[DriverPool | MeasuredPool, ...] = ()  # of the episode before
+        self._pools: tuple[DriverPool, ...] = ()  # of the episode before
         self._loaded: Settings | None = None
         self._base: tuple[Path, float, Calibration]  # of what is loaded: network, step length, calibration
 

@@ -80,7 +80,7 @@ class Task:
     warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
     risk_ranges: ClassVar[RiskRanges] = RISK_RANGES
     risk_rates: ClassVar[RiskRates] = RiskRates()
-    measured: ClassVar[MeasuredPool | None] = None  # the drivers of config["drivers"] = "measured"
+    measured: ClassVar[MeasuredPool] = MeasuredPool()  # the drivers of config["drivers"] = "measured"
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
     target_speeds: tuple[float, ...] = TARGET_SPEEDS
     # where further learning cars start, each with the ego's speed and destination: lane, s [m]
@@ -143,16 +143,12 @@ class Task:
         """Vehicles that are added later, or at the end of the warm-up (intersection only)."""
         return []
 
-    def pool(self, config: Config, fixed_delta: bool) -> DriverPool | MeasuredPool:
-        """The drivers that those of a scenario are drawn from."""
-        if config.get("drivers") == MEASURED and self.measured:
-            return self.measured
-        return DriverPool(self.car_following, float(config["risk"]), fixed_delta, self.risk_ranges)
-
-    def pools(self, config: Config) -> tuple[DriverPool | MeasuredPool, ...]:
-        """Every driver that may occur in a scenario, the ego's included."""
-        ego = DriverPool(self.car_following, 0.0, True, self.risk_ranges)
-        return tuple(dict.fromkeys((ego, self.pool(config, False), self.pool(config, True))))
+    def pools(self, dose: float) -> tuple[DriverPool, ...]:
+        """Every driver that may occur in a scenario of this dose, the ego's included."""
+        chosen = {(0.0, True), (dose, True), (dose, False)}
+        return tuple(
+            DriverPool(self.car_following, risk, fixed, self.risk_ranges) for risk, fixed in sorted(chosen)
+        )
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         """The raw terms of the reward, by highway-env's names."""
@@ -226,14 +222,14 @@ class Task:
         vehicles = self.vehicles(config, road, ego, rng, drivers)
         spawns = tuple(self.spawns(config, road, seed, drivers))
         events = self.events(config, vehicles, spawns, seed)
-        cars, pool = cars_count(config), self.pool(config, True)
+        cars = cars_count(config)
         if cars > 1:
             vehicles = self.with_cars(config, road, ego, vehicles, cars, rng)
         ids = [ego.id, *(spec.id for spec in vehicles), *(spawn.vehicle.id for spawn in spawns)]
         if len(set(ids)) < len(ids):
             twice = next(id for id in ids if ids.count(id) > 1)
             raise ConfigError(f"two vehicles of the task {self.name!r} are called {twice!r}")
-        return Scenario(
+        scenario = Scenario(
             task=self.name,
             seed=seed,
             risk=config["risk"],
@@ -247,11 +243,12 @@ class Task:
             net=self.net or road.name,
             road_arguments=road.arguments,
             routes=self._routes,
-            pools=self.pools(config),
-            calibration=pool.calibration if isinstance(pool, MeasuredPool) else self.calibration,
+            pools=self.pools(config["risk"]),
+            calibration=self.calibration,
             obeys_lights=bool(config.get("obey_traffic_lights", False)),
             further=tuple(car_id(number) for number in range(1, cars)),
         )
+        return self.measured.driving(scenario) if config.get("drivers") == MEASURED else scenario
 
 
 class Drivers:
@@ -261,7 +258,10 @@ class Drivers:
         self._rng = stream(seed, "drivers")
         self._drawn: list[int] = []
         self._fixed_delta = task.fixed_delta
-        self._pool = {fixed: task.pool(config, fixed).drivers for fixed in (True, False)}
+        self._pool = {
+            fixed: DriverPool(task.car_following, float(config["risk"]), fixed, task.risk_ranges).drivers
+            for fixed in (True, False)
+        }
 
     def next(self, fixed_delta: bool | None = None) -> Driver:
         """The driver of the next vehicle; `fixed_delta` overrides the task's own choice."""

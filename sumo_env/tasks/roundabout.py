@@ -62,7 +62,7 @@ class Roundabout(Task):
     levels = {"5": {"vehicles_count": 5}, "10": {"vehicles_count": 10}, "15": {"vehicles_count": 15}}
     # Surges alone empty the ring before a slow ego arrives, so some drivers also brake to a standstill in it.
     calibration = Calibration(lane_changes=False, ignores_approaching=0.85, ignores_inside=0.5)
-    measured = MeasuredPool(Calibration(lane_changes=False), FROM_REST, ROUNDABOUT, crossing=4.0)
+    measured = MeasuredPool(FROM_REST, ROUNDABOUT, crossing=4.0)
     # Tailgating drivers whom right of way does not stop make up for half of the events (docs/traffic-and-risk.md).
     risk_ranges = RiskRanges(tau=(0.2, 1.0), min_gap=(0.1, 1.0), not_giving_way=1.0)
     risk_rates = RiskRates(

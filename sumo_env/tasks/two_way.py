@@ -14,7 +14,6 @@ from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import Road, two_way
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane
 from sumo_env.traffic.drivers import Calibration
-from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
@@ -48,7 +47,6 @@ class TwoWay(Task):
         "15+6": {"vehicles_count": 15, "oncoming_vehicles_count": 6, "road_length": 800.0 * 2 / 3},
     }
     calibration = Calibration(lane_changes=False)
-    measured = MeasuredPool(calibration)
     risk_rates = RiskRates(cut_in=0.01, brake=0.2, brake_decel=5.0, brake_duration=1.5)
     fixed_delta = True
     start_places = ((OWN, 5.0),)  # 25 m behind the ego

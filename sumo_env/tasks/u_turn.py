@@ -8,7 +8,6 @@ from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, u_turn
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration, RiskRanges
-from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
@@ -55,7 +54,6 @@ class UTurn(Task):
     }
     levels = {str(count): {"vehicles_count": count} for count in (3, 6, 9, 12)}
     calibration = Calibration(lane_changes=False)
-    measured = MeasuredPool(calibration)
     risk_ranges = RiskRanges(tau=(0.2, 1.0), min_gap=(0.1, 1.0), decel=(0.5, 1.0))
     risk_rates = RiskRates(cut_in=0.2, brake=0.1, brake_duration=2.0)
     fixed_delta = True

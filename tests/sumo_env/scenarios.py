@@ -20,7 +20,7 @@ def draw(task: str, seed: int = 0, **config: Any) -> Scenario:
 
 def drivers(task: str, dose: float) -> list[Driver]:
     """Every driver that may occur in a scenario of this dose."""
-    return [driver for pool in get_task(task).pools({"risk": dose}) for driver in pool.drivers]
+    return [driver for pool in get_task(task).pools(dose) for driver in pool.drivers]
 
 
 def alone(scenario: Scenario) -> Scenario:

@@ -12,7 +12,6 @@ from agents.greedy import with_column
 from agents.streams import episode_seed
 from experiments.study.design.rules import TrainingRules
 from experiments.study.design.traffic import Traffic
-from sumo_env.config import MEASURED
 from sumo_env.traffic.scenario import Scenario
 
 Env = gym.Env[Any, Any]
@@ -117,18 +116,9 @@ class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode: draw the scenario of the seed in regular and in risky traffic, and mix the two.
-
-        Measured drivers stand in the places of regular traffic, where there is nothing to mix.
-        """
-        inner: Any = self.env.unwrapped
-
-        def draw(risk: float) -> Scenario:
+        """Begin an episode: draw the scenario of the seed in regular and in risky traffic, and mix the two."""
+        drawn: list[Scenario] = []
+        for risk in (0.0, 1.0):
             self.env.reset(seed=seed, options={"config": {"risk": risk}})
-            return inner.scenario  # type: ignore[no-any-return]
-
-        if self._traffic.drivers == MEASURED:
-            drawn = inner.task.scenario({**inner.config, "risk": 0.0, "drivers": MEASURED}, draw(0.0).seed)
-        else:
-            drawn = self._traffic.scenario(draw(0.0), draw(1.0))
-        return self.env.reset(seed=seed, options={"scenario": drawn})
+            drawn.append(self.env.unwrapped.scenario)  # type: ignore[attr-defined]
+        return self.env.reset(seed=seed, options={"scenario": self._traffic.scenario(*drawn)})

@@ -26,8 +26,9 @@ from experiments.study.design.grid import (
 )
 from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
-from experiments.study.design.traffic import BETWEEN, TRAFFICS, further_traffics, unseen_traffics
+from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
+from sumo_env.config import MEASURED
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 Dynamics = Callable[[str, str], str]
@@ -187,8 +188,10 @@ class Experiment:
             traffics = list(unseen_traffics(agent.task, self.backend))
             yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
         if self.traffics:
-            traffics = list(further_traffics(self.traffics, self.backend))
-            yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
+            if MEASURED in self.traffics and self.backend != "sumo":
+                raise UserError(f"{self.backend} has no measured drivers: leave out --traffics {MEASURED}")
+            further = [traffic_named(name).name for name in dict.fromkeys(self.traffics)]
+            yield replace(agent, kind="test", test_on={**here, "traffics": further})
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
                 elsewhere = {

@@ -6,15 +6,14 @@ of its training. It is the traffic at dose 1 with something taken away or exchan
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from agents.streams import stream
-from experiments.support.errors import UserError, unknown
+from experiments.support.errors import unknown
 from sumo_env.config import MEASURED
 from sumo_env.tasks import TASKS
-from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.scenario import Scenario
 
 REGULAR_DRIVERS = "regular"
@@ -50,24 +49,15 @@ class Traffic:
 
     def scenario(self, regular: Scenario, risky: Scenario) -> Scenario:
         """The scenario of unseen traffic, from those of one seed at dose 0 and 1."""
+        if self.drivers == MEASURED:
+            return TASKS[regular.task].measured.driving(regular)
         if self.drivers == REGULAR_DRIVERS:
             events = tuple(event for event in risky.events if event.kind == self.events)
             return replace(regular, events=events)
         if self.drivers is None:
             return replace(risky, events=())
         model: Any = self.drivers
-
-        def changed(driver: Driver) -> Driver:
-            return driver.like(self.name, model)
-
-        return replace(
-            risky,
-            vehicles=tuple(spec._replace(driver=changed(spec.driver)) for spec in risky.vehicles),
-            spawns=tuple(
-                replace(spawn, vehicle=spawn.vehicle._replace(driver=changed(spawn.vehicle.driver)))
-                for spawn in risky.spawns
-            ),
-        )
+        return risky.with_drivers(lambda driver: driver.like(self.name, model))
 
 
 def _only(kind: str) -> Traffic:
@@ -114,7 +104,7 @@ def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
     """The traffics of UNSEEN that differ from regular and risky traffic in a task, on a backend.
 
     Kinds of events that the task does not have are skipped, and SUMO's models on other simulators. Measured drivers are
-    no part of the risk, and younger than the published tests: they are asked for by name (`further_traffics`).
+    no part of the risk, and younger than the published tests: they are asked for by name.
     """
     rates = TASKS[task].risk_rates
 
@@ -127,13 +117,3 @@ def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
         return any(getattr(rates, kind.replace("-", "_")) > 0 for kind in kinds)
 
     return tuple(name for name in UNSEEN if differs(ALL[name]))
-
-
-def further_traffics(names: Sequence[str], backend: str = "sumo") -> tuple[str, ...]:
-    """These traffics, each once. Raises UserError for one that there is not, or that the backend cannot drive."""
-    for name in names:
-        if traffic_named(name).drivers == MEASURED and backend != "sumo":
-            raise UserError(
-                f"the backend {backend} has no measured drivers: leave out {name!r}, or take sumo"
-            )
-    return tuple(dict.fromkeys(names))

@@ -26,9 +26,7 @@ COMMUTERS, HIGH_D = 0.30, 0.17  # lane changes per minute at 22.5 m/s: one in 4.
 
 
 def pool(task: str) -> MeasuredPool:
-    found = get_task(task).measured
-    assert found is not None
-    return found
+    return get_task(task).measured
 
 
 def drive(task: str, vehicles: list[VehicleSpec], ego: VehicleSpec, steps: int, action: int) -> list[Scene]:
@@ -38,7 +36,10 @@ def drive(task: str, vehicles: list[VehicleSpec], ego: VehicleSpec, steps: int, 
     with closing(DrivingEnv(task, {"duration": steps}, simulator=simulator)) as env:
         road = definition.road(env.config)
         drawn = Scenario(task, 0, 0.0, ego, tuple(vehicles), net=road.name, road_arguments=road.arguments)
-        env.reset(seed=0, options={"scenario": replace(drawn, calibration=pool(task).calibration)})
+        env.reset(
+            seed=0,
+            options={"scenario": replace(drawn, calibration=draw(task, drivers="measured").calibration)},
+        )
         for _ in range(steps):
             if env.step(action)[2]:
                 break
@@ -93,13 +94,8 @@ def test_sumo_drives_these_drivers_in_the_places_of_regular_traffic(task: str) -
         assert env.scenario.events == ()
 
 
-def test_only_sumo_has_them_in_tasks_that_say_so() -> None:
-    class Silent(type(TASKS["highway"])):  # type: ignore[misc]
-        measured = None
-
-    with pytest.raises(ConfigError, match="only SUMO has measured drivers"):
-        DrivingEnv(Silent(), {"drivers": "measured"})
-    with pytest.raises(ConfigError, match="only SUMO has measured drivers"):
+def test_only_sumo_has_them() -> None:
+    with pytest.raises(ConfigError, match="measured drivers are for sumo"):
         ReplicaEnv("highway", {"drivers": "measured"})
     with pytest.raises(ConfigError, match="known: highway-env, measured"):
         DrivingEnv("highway", {"drivers": "human"})

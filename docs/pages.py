@@ -515,21 +515,11 @@ def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dic
     return found
 
 
-def road_units() -> str:
-    """The lines of the table of doses in units of the road; without those in which nothing happens."""
-    units = {
-        "headway_5": ("5 % of headways below [s]", 1),
-        "headway": ("median headway [s]", 1),
-        "braking_4.4": ("braking above 4.4 m/s² (0.45 g)", 2),
-        "cut_ins": ("cut-ins", 2),
-        "lane_changes": ("lane changes", 2),
-    }
-    return "\n".join(
-        f"| {task} | {name} | {' | '.join(plain(value, digits) for value in rows[unit])} |"
-        for task, rows in table("road-units.parquet").groupby("task", sort=False)
-        for unit, (name, digits) in units.items()
-        if rows[unit].any()
-    )
+def road_units(task: str, unit: str, digits: int) -> str:
+    """The cell of a table: a unit of the road at all doses, and of measured drivers; empty where nothing happens."""
+    values = chosen(table("road-units.parquet"), task=task)[unit]
+    *doses, measured = (plain(value, digits) for value in values)
+    return f"{', '.join(doses)}; **{measured}**".replace(" ", NO_BREAK) if values.any() else ""
 
 
 def road_ratio(task: str, unit: str, traffic: str, other: str) -> str:

@@ -73,6 +73,8 @@ class Cars:
         self, make: Make, given: Asked, render_mode: str | None = None, removes_crashed: bool = False
     ) -> None:
         """make: makes the environment of a car; removes_crashed: whether crashed cars leave the road."""
+        if given.cars > 1 and given.config.get("manual_control"):
+            raise ConfigError("'manual_control' drives one car: keys say nothing about further ones")
         self.envs = [make(given.config, None if number else render_mode) for number in range(given.cars)]
         self.first, self._removes_crashed = self.envs[0], removes_crashed
         self.first.cars = given.cars

@@ -244,6 +244,11 @@ def test_what_tuples_cannot_be_is_an_error(config: dict[str, Any], message: str)
         ("replica/highway-v0", {"remove_crashed": True}, "crashed cars stay on the road"),
         ("replica/highway-v0", {"live": "sumo-gui"}, "live: there is no SUMO on the replica"),
         ("sumo/highway-v0", {"output_dir": "out"}, "output_dir is for networks of your own"),
+        (
+            "sumo/highway-v0",
+            {"config": {"controlled_vehicles": 2, "manual_control": True}},
+            "'manual_control' drives one car",
+        ),
         ("sumo/highway-v0", {"live": "gui"}, "live must be None or 'sumo-gui'"),
         ("CartPole-v1", {}, "not an environment of sumo_env"),
         ("sumo/two-way-v0", {"config": {"controlled_vehicles": 3}}, "is at most 2"),

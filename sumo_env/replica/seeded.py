@@ -1,7 +1,7 @@
 """Seeded episodes drawn in compiled code: what `Task.scenario` and `Replica.load` give, to the bit.
 
 numba drives numpy's generators; one of them is taken to the beginning of every stream by writing to its memory. Not
-here: the intersection, whose traffic warms up.
+here: the intersection, whose traffic warms up, and measured drivers.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config
+from sumo_env.config import DRIVERS, Config
 from sumo_env.replica import tables
 from sumo_env.replica.compiled import AS_PYTHON, borrowing, compiled
 from sumo_env.replica.geometry import from_lane, heading_at, local_coordinates, position
@@ -26,7 +26,7 @@ from sumo_env.traffic.risk import RiskEvent, pushes
 
 KNOWN = ("highway", "two-way", "roundabout", "u-turn")  # tasks whose traffic `draw` draws
 HIGHWAY, TWO_WAY, ROUNDABOUT, U_TURN = range(len(KNOWN))
-SCENARIO, DRIVERS, EVENTS = (zlib.crc32(name) for name in (b"scenario", b"drivers", b"risk events"))
+PLACES, DRIVEN, EVENTS = (zlib.crc32(name) for name in (b"scenario", b"drivers", b"risk events"))
 # of numpy's SeedSequence and PCG64
 INIT_A, TIMES_A, INIT_B, TIMES_B = map(np.int64, (0x43B0D7E5, 0x931E8875, 0x8B51F9DD, 0x58F38DED))
 MIX_L, MIX_R, LOW = map(np.int64, (0xCA01F9DD, 0x4973F715, 0xFFFFFFFF))
@@ -57,7 +57,7 @@ class Draws(NamedTuple):
 
 def draws_of(task: Task, config: Config, lanes: tables.Lanes, speed_index: int) -> Draws | None:
     """How the episodes of a task are drawn under a resolved configuration; None where Python draws them."""
-    if task.name not in KNOWN or not has_known_memory():
+    if task.name not in KNOWN or config["drivers"] != DRIVERS[0] or not has_known_memory():
         return None
     road, number, rates, dose = task.road(config), lanes.numbers, task.risk_rates, float(config["risk"])
     ego = task.ego(config, road, np.random.default_rng())
@@ -272,7 +272,7 @@ def place(draws: Any, rng: Any, memory: Any, cars: Any, seed: int) -> int:
     if len(cars) <= draws.counts[0] + draws.counts[1]:
         return 0
     places = np.zeros((len(cars), 4))  # lane, s [m], speed [m/s] and goal
-    go_to(memory, seed, SCENARIO)
+    go_to(memory, seed, PLACES)
     if draws.task == HIGHWAY:
         count = on_highway(draws, rng, places)
     elif draws.task == TWO_WAY:
@@ -281,7 +281,7 @@ def place(draws: Any, rng: Any, memory: Any, cars: Any, seed: int) -> int:
         count = on_roundabout(draws, rng, places)
     else:
         count = on_u_turn(draws, rng, places)
-    go_to(memory, seed, DRIVERS)
+    go_to(memory, seed, DRIVEN)
     drawn = np.zeros(1, np.int64)
     for j in range(count):
         car, number, goal, s = cars[j], int(places[j, 0]), int(places[j, 3]), places[j, 1]

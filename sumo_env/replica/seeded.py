@@ -1,7 +1,7 @@
 """Seeded episodes drawn in compiled code: what `Task.scenario` and `Replica.load` give, to the bit.
 
 numba drives numpy's generators; one of them is taken to the beginning of every stream by writing to its memory. Not
-here: the intersection, whose traffic warms up, and measured drivers.
+here: the intersection, whose traffic warms up.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import DRIVERS, Config
+from sumo_env.config import Config
 from sumo_env.replica import tables
 from sumo_env.replica.compiled import AS_PYTHON, borrowing, compiled
 from sumo_env.replica.geometry import from_lane, heading_at, local_coordinates, position
@@ -57,7 +57,7 @@ class Draws(NamedTuple):
 
 def draws_of(task: Task, config: Config, lanes: tables.Lanes, speed_index: int) -> Draws | None:
     """How the episodes of a task are drawn under a resolved configuration; None where Python draws them."""
-    if task.name not in KNOWN or config["drivers"] != DRIVERS[0] or not has_known_memory():
+    if task.name not in KNOWN or not has_known_memory():
         return None
     road, number, rates, dose = task.road(config), lanes.numbers, task.risk_rates, float(config["risk"])
     ego = task.ego(config, road, np.random.default_rng())

@@ -41,6 +41,7 @@ ARGUMENTS = {
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
     "unseen": st.booleans(),
+    "traffics": st.lists(some(["measured", "krauss", "measure"]), max_size=2).map(tuple),
     "learner": some(["dqn", "sb3-dqn", "sb3-ppo", "none.py:learner"]),
     "settings": st.lists(
         some(["gamma=0.9", "gamma=NaN", "device=cpu", "gama=1", "=", "n_steps=8"]), max_size=2

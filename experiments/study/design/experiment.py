@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +15,8 @@ import tyro
 from agents.plugins import foreign
 from agents.rules import CAUTIONS, POLICIES
 from experiments.backends import BACKENDS
-from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, PAIRS
+from experiments.study.design.estimators import RULE, digest
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import (
     LEARNER,
@@ -30,6 +32,7 @@ from experiments.study.design.traffic import BETWEEN, TRAFFICS, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
+ELSEWHERE = 200  # test episodes of a pair in each other traffic, at most
 Dynamics = Callable[[str, str], str]
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
@@ -69,7 +72,8 @@ class Experiment:
     updates: Annotated[int | None, argument("N")] = None
     """Training budget of an agent in updates, the same for all tasks."""
     arms: Annotated[tuple[str, ...], argument("ARM ...", "control treatment")] = ()
-    """control, treatment, dose25, dose50, dose75 (tested at these too), dense, penalty, mixed, mixed-seen, drawn."""
+    """control, treatment, dose25, dose50, dose75 (tested at these too), dense, penalty, mixed, mixed-seen,
+    mixed-belief, drawn."""
     placebo: Flag = False
     """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
     test_on: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
@@ -78,6 +82,8 @@ class Experiment:
     """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
     frontier: Flag = False
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
+    pairs: Flag = False
+    """Also test two agents together, of seeds k and k + half of the seeds: their Q-values averaged, by a belief too."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     crash_reward: Annotated[float | None, argument("X", "none")] = None
@@ -120,6 +126,7 @@ class Experiment:
             agents = list(self._agents(common))
             cells += agents
             cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
+            cells += self._pairs(agents) if self.pairs else []
             cells += [replace(common, policy=name) for name in drivers]
             for label, (source, digits) in policies.items():
                 profile = {**common.profile, "policy_sha256": digits}
@@ -165,13 +172,14 @@ class Experiment:
         for seed in range(self.first_seed, self.first_seed + seeds):
             for arm in arms:
                 if (different := EVERY_ARM[arm].changes(common.task, common.level)) is not None:
+                    named = {"estimator_sha256": digest(common)} if EVERY_ARM[arm].estimated else {}
                     yield replace(
                         common,
                         kind="agent",
                         arm=arm,
                         seed=seed,
                         policy=self._own_learner[0] if self._own_learner else self.learner,
-                        profile={**common.profile, **profile, **EVERY_ARM[arm].rules},
+                        profile={**common.profile, **profile, **EVERY_ARM[arm].rules, **named},
                         source=self.learner if self._own_learner else self._own_network,
                         trained_with=different,
                     )
@@ -194,6 +202,26 @@ class Experiment:
                     "dynamics": dynamics(other, agent.task),
                 }
                 yield replace(agent, kind="test", test_on=elsewhere)
+
+    def _pairs(self, agents: Sequence[Cell]) -> Iterator[Cell]:
+        """The tests of two agents together; those that are told nothing also elsewhere."""
+        by_place = {(agent.arm, agent.seed): agent for agent in agents}
+        half = (self.seeds or 0) // 2
+        for first, pair in product(range(self.first_seed, self.first_seed + half), PAIRS.values()):
+            one, other = (by_place.get(place) for place in zip(pair.arms, (first, first + half), strict=True))
+            if one is None or other is None:
+                continue
+            made: dict[str, Any] = {"agents": [one.name, other.name], "weight": pair.weight}
+            if pair.weight in ("belief", "shuffled"):
+                made |= {"rule": list(RULE), "estimator_sha256": digest(one)}
+            asked = [(TRAFFICS, one.episodes)]
+            if pair.weight in ("half", "belief"):
+                others = (BETWEEN, unseen_traffics(one.task, one.backend))
+                asked += [(names, min(one.episodes, ELSEWHERE)) for names in others]
+            for names, episodes in asked:
+                where = {"backend": one.backend, "env_config": one.env_config}
+                tested = {**where, "traffics": list(names), "episodes": episodes}
+                yield replace(one, kind="test", arm=pair.name, test_on=tested, pair=made)
 
     def profile(self, task: str) -> dict[str, Any]:
         """Every setting of the learner on a task and the rules of its training, as plain values.

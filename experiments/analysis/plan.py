@@ -203,7 +203,7 @@ SECOND = Plan(
     learner=Learner(ranges={**Learner().ranges, "intersection": 13.0}),
     published="second",
 )
-PAIRS = Plan(
+FOURTH = Plan(
     version=4,
     settings=tuple((task, names[0]) for task, names in GRID.items()),
     families=(),
@@ -217,7 +217,7 @@ PAIRS = Plan(
     trained=("treatment", "mixed"),
     design={"first_seed": 200, "seeds": 10, "first_scenario": 2000, "episodes": 800, "rule": [1.0, 0.5]},
 )
-PLANS = {"pairs": PAIRS, "second": SECOND, "first-clock": SECOND, "standard": TWO_BATCHES}  # by preset
+PLANS = {"pairs": FOURTH, "second": SECOND, "first-clock": SECOND, "standard": TWO_BATCHES}  # by preset
 
 
 def plan_of(presets: Iterable[str]) -> Plan:

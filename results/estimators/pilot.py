@@ -1,7 +1,7 @@
 """How the belief should act: the pilot of the fourth plan, on scenarios that no test and no training meets.
 
-    python results/estimators/pilot.py            # plays what is missing in pilot.parquet, then prints the choice
-    python results/estimators/pilot.py --choose   # prints the choice alone
+    python results/estimators/pilot.py            # plays what is missing in pilot.parquet (of some TASKS: name them),
+    python results/estimators/pilot.py --choose   # then prints the choice
 
 Published agents (results/agents.npz, training seed 100) of the lightest settings. Rules are judged over the five tasks
 alike, by crash rates: in risky traffic against the treated agent (margin 5 points), in regular traffic against the
@@ -41,7 +41,7 @@ RULES = {  # sharpness and threshold
     "threshold .3": (32.0, 0.3),
 }
 TASKS = "u-turn", "roundabout", "intersection", "two-way", "highway"
-SINGLE = {"control": ("regular",), "treatment": ("risky",)}  # the traffics that the choice needs
+SINGLE = {"control": ("regular",), "treatment": ("risky",)}  # the traffic that the choice needs
 KEPT = ["traffic", "scenario", "crashed", "return", "mean_speed"]
 MARGINS = {"risky": ("treatment", 5.0), "regular": ("control", 2.5)}
 
@@ -94,7 +94,7 @@ def main() -> None:
     """Play and choose."""
     torch.set_num_threads(1)
     done = [pd.read_parquet(FILE)] if FILE.exists() else []
-    for task in TASKS if "--choose" not in sys.argv else ():
+    for task in [] if "--choose" in sys.argv else sys.argv[1:] or TASKS:
         for name in (*SINGLE, "half", *RULES):
             if not any(((part["task"] == task) & (part["policy"] == name)).any() for part in done):
                 done.append(play(task, name))

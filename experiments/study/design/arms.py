@@ -12,7 +12,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -79,30 +79,21 @@ EVERY_ARM: dict[str, Arm] = {
 }
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """A policy made of two trained agents, whose Q-values are averaged (`agents.belief.Weighed`).
 
     arms: of the two agents, which have training seeds k and k + half of the number of seeds. weight: of the second:
     "half", the "belief" that the dose is 1, the "dose" itself, or the belief of another episode ("shuffled").
     """
 
-    name: str
-    arms: tuple[str, str]
+    arms: tuple[str, str] = ("control", "treatment")
     weight: str = "half"
 
 
-PAIRS: dict[str, Pair] = {
-    pair.name: pair
-    for pair in (
-        Pair("two-control", ("control", "control")),
-        Pair("two-treatment", ("treatment", "treatment")),
-        Pair("two-mixed", ("mixed", "mixed")),
-        Pair("half", ("control", "treatment")),
-        Pair("belief", ("control", "treatment"), "belief"),
-        Pair("told", ("control", "treatment"), "dose"),
-        Pair("shuffled", ("control", "treatment"), "shuffled"),
-    )
+PAIRS = {
+    **{f"two-{arm}": Pair((arm, arm)) for arm in ("control", "treatment", "mixed")},
+    **{"half": Pair(), "belief": Pair(weight="belief"), "told": Pair(weight="dose")},
+    "shuffled": Pair(weight="shuffled"),
 }
 ARMS = ("control", "treatment")  # of the primary comparison; the others are exploratory
 EXTRA_ARMS = tuple(name for name in EVERY_ARM if name not in ARMS)

@@ -207,7 +207,7 @@ class Experiment:
         """The tests of two agents together; those that are told nothing also elsewhere."""
         by_place = {(agent.arm, agent.seed): agent for agent in agents}
         half = (self.seeds or 0) // 2
-        for first, pair in product(range(self.first_seed, self.first_seed + half), PAIRS.values()):
+        for first, (name, pair) in product(range(self.first_seed, self.first_seed + half), PAIRS.items()):
             one, other = (by_place.get(place) for place in zip(pair.arms, (first, first + half), strict=True))
             if one is None or other is None:
                 continue
@@ -221,7 +221,7 @@ class Experiment:
             for names, episodes in asked:
                 where = {"backend": one.backend, "env_config": one.env_config}
                 tested = {**where, "traffics": list(names), "episodes": episodes}
-                yield replace(one, kind="test", arm=pair.name, test_on=tested, pair=made)
+                yield replace(one, kind="test", arm=name, test_on=tested, pair=made)
 
     def profile(self, task: str) -> dict[str, Any]:
         """Every setting of the learner on a task and the rules of its training, as plain values.

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
-from experiments.analysis.analysis import CRASHES
+from experiments import report
+from experiments.analysis.analysis import CRASHES, analyse
 from experiments.analysis.claims import CONTRADICTED, HOLDS, price
 from experiments.analysis.effects import contrasts
 from experiments.analysis.gates import THRESHOLDS
 from experiments.analysis.pairs import COMPARED, units
-from experiments.analysis.plan import PAIRS as PLAN
+from experiments.analysis.plan import FOURTH as PLAN
 from experiments.analysis.plan import Bound, as_data, plan_of
 from experiments.analysis.scores import arms_of
 from experiments.study.design.arms import PAIRS
+from experiments.study.results.store import load
 from experiments.support.files import canonical_json, sha256_bytes
+from tests.experiments import synthetic
 
 HALF, SCENARIOS = 5, 60
 # Crash rates in regular and in risky traffic.
@@ -134,3 +139,17 @@ class TestPlan:
     def test_its_digest_stands(self) -> None:
         data = as_data(PLAN, THRESHOLDS)
         assert sha256_bytes(canonical_json(data).encode())[:12] == "fixed before"
+
+
+def test_a_report_answers_the_questions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = {"seeds": 4, "tests": 12, "further": ("mixed",), "pairs": True, "preset": "pairs"}
+    synthetic.write(tmp_path, {"u-turn": (1,)}, **asked)
+    found = analyse(load(tmp_path))
+    assert found.plan["version"] == 4 and not found.notes["left_out"]
+    assert len(found.price.query("scope == 'all tasks'")) == len(PLAN.price)
+    rows = found.means.query("arm == 'belief' and against == 'half' and scope == 'all tasks'")
+    assert {*rows["outcome"]} == {"crashed", "mean_speed"} and len(rows) == 4
+    assert {*found.policies["arm"]} >= {*PAIRS}
+    monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
+    text = report.write_report(tmp_path).read_text()
+    assert "weighed by a belief about the traffic" in text and "Gain without price" not in text

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.belief import Estimator
-from experiments.analysis.plan import PAIRS as PLAN
+from experiments.analysis.plan import FOURTH as PLAN
 from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.experiment import Experiment

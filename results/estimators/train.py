@@ -1,6 +1,6 @@
 """Train the estimators of the dose of risk (`agents.belief`), and say how good they are.
 
-    python -m experiments.study.compute.estimators u-turn-3 roundabout-5
+    python results/estimators/train.py u-turn-3 roundabout-5 intersection-10 two-way-5+2 highway-50
 
 writes results/estimators/SETTING.npz and a row of results/estimators/estimators.csv for each setting. Labelled episodes
 are driven by published agents, half of the episodes with some random actions, in scenarios that no test and no training
@@ -11,7 +11,10 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
+from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 import pandas as pd
@@ -33,8 +36,10 @@ from sumo_env.tasks import TASKS
 
 DRIVERS = "control", "treatment", "mixed"
 RANDOM = 0.15  # share of random actions in every second scenario
-SCENARIOS, HELD_OUT = 700, 150  # each at both doses; to be trained on, and to be judged on
-SLOW = {"highway": 300}  # scenarios to be trained on where an episode takes long
+# Scenarios that it is trained on, each at both doses. On the u-turn a belief is worth most; on the highway an episode
+# takes long.
+SCENARIOS = {"u-turn-3": 2000, "roundabout-5": 700, "intersection-10": 700, "two-way-5+2": 700, "highway-50": 300}
+HELD_OUT = 150  # scenarios that it is judged on, each at both doses
 SECONDS = 1, 2, 3, 5, 8
 SEED = 0
 
@@ -93,7 +98,8 @@ def judged(logits: np.ndarray, alive: np.ndarray, dose: np.ndarray) -> dict[str,
 
 def train(task: str, level: int) -> dict[str, Any]:
     """Train, judge and store the estimator of a setting; returns its row."""
-    name, number = f"{task}-{level_names(task)[level - 1]}", SLOW.get(task, SCENARIOS)
+    name = f"{task}-{level_names(task)[level - 1]}"
+    number = SCENARIOS.get(name, 700)
     torch.set_num_threads(1)
     own = [torch.from_numpy(part) for part in collect(task, level, range(number))]
     fit(*own, seed=SEED).save(FOLDER / f"{name}.npz")

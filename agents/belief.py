@@ -8,7 +8,7 @@ column of the observation, which one of the wrappers adds: the estimate, the est
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.checkpoint import CheckpointError, load_arrays, save_arrays
+from agents.checkpoint import load_arrays, save_arrays
 from agents.greedy import Greedy, best, with_column, with_weights
 from agents.rules.perception import Perception, View
 from agents.streams import stream
 
 Env = gym.Env[Any, Any]
+Rule = Sequence[float]  # sharpness and threshold of `sharpened`
 EGO, VEHICLE = 7, 10  # numbers that are read of the ego and of each vehicle
 WIDTH = 48
 EPOCHS, BATCH, RATE = 15, 128, 3e-3
-TRACES = "traces"  # the entry of an estimator's file with the estimates of other episodes
 
 
 def features(view: View, vehicles: int) -> tuple[np.ndarray, np.ndarray]:
@@ -38,13 +38,9 @@ def features(view: View, vehicles: int) -> tuple[np.ndarray, np.ndarray]:
     """
     ego = [*view.origin / 100, np.cos(view.heading), np.sin(view.heading)]
     ego += [view.speed / 20, view.curvature * 10, view.sideways / 3]
-    columns = [
-        np.ones(len(view.speeds)),
-        *view.positions.T / 50,
-        np.cos(view.headings),
-        np.sin(view.headings),
-    ]
-    columns += [view.speeds / 20, view.turning, view.acceleration / 5, view.drift / 3, view.known]
+    columns = [np.ones(len(view.speeds)), *view.positions.T / 50, np.cos(view.headings)]
+    columns += [np.sin(view.headings), view.speeds / 20, view.turning, view.acceleration / 5]
+    columns += [view.drift / 3, view.known]
     others = np.zeros((vehicles, VEHICLE), np.float32)
     others[: len(view.speeds)] = np.stack(columns, axis=1)
     return np.array(ego, np.float32), others
@@ -53,12 +49,14 @@ def features(view: View, vehicles: int) -> tuple[np.ndarray, np.ndarray]:
 class Estimator(nn.Module):
     """Logit of the dose being 1 and not 0, after each table of an episode.
 
-    traces: estimates in other episodes (episodes, steps), half of each dose, for `shuffled`.
+    traces: estimates in other episodes (episodes, steps), half of each dose, for `ShuffledObserved`.
     """
 
-    def __init__(self, traces: np.ndarray | None = None) -> None:
+    traces: Tensor
+
+    def __init__(self, traces: Tensor | None = None) -> None:
         super().__init__()
-        self.traces = np.full((1, 1), 0.5) if traces is None else traces
+        self.register_buffer("traces", torch.full((1, 1), 0.5) if traces is None else traces)
         self.vehicle = nn.Sequential(nn.Linear(VEHICLE, WIDTH), nn.ReLU(), nn.Linear(WIDTH, WIDTH), nn.ReLU())
         self.memory = nn.GRU(2 * WIDTH + EGO, WIDTH, batch_first=True)
         self.last = nn.Sequential(nn.Linear(WIDTH, WIDTH), nn.ReLU(), nn.Linear(WIDTH, 1))
@@ -71,17 +69,15 @@ class Estimator(nn.Module):
 
     def save(self, path: Path) -> None:
         """Write weights and traces in half precision."""
-        arrays = {name: value.numpy() for name, value in self.state_dict().items()} | {TRACES: self.traces}
-        save_arrays(path, {name: array.astype(np.float16) for name, array in arrays.items()})
+        save_arrays(
+            path, {name: value.numpy().astype(np.float16) for name, value in self.state_dict().items()}
+        )
 
     @classmethod
     def load(cls, path: Path) -> Estimator:
-        """Read what `save` wrote. Raises ValueError, CheckpointError or FileNotFoundError."""
+        """Read what `save` wrote. Raises ValueError for another file, CheckpointError or FileNotFoundError."""
         arrays = load_arrays(path)
-        traces = arrays.pop(TRACES, np.zeros(0))
-        if traces.ndim != 2 or not traces.size:
-            raise CheckpointError(f"{path} is no file of an estimator: restore it from a copy.")
-        estimator = cls(traces.astype(float))
+        estimator = cls(torch.zeros(arrays["traces"].shape) if "traces" in arrays else None)
         with_weights(estimator, arrays, path)
         return estimator.eval()
 
@@ -107,28 +103,6 @@ def fit(ego: Tensor, vehicles: Tensor, alive: Tensor, dose: Tensor, seed: int) -
             optimizer.step()
             schedule.step()
     return estimator.eval()
-
-
-class Belief:
-    """The estimate in an episode that is going on, from its tables one after the other."""
-
-    def __init__(self, env: Env, estimator: Estimator) -> None:
-        self._perception, self._estimator = Perception(env), estimator
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin an episode."""
-        self._perception.reset()
-        self._memory: Tensor | None = None
-
-    @torch.inference_mode()
-    def see(self, table: np.ndarray) -> float:
-        """Probability that the dose is 1 and not 0, after one more table."""
-        read = [
-            torch.from_numpy(part)[None, None] for part in features(self._perception.look(table), len(table))
-        ]
-        logits, self._memory = self._estimator(*read, self._memory)
-        return float(torch.sigmoid(logits[0, 0]))
 
 
 def sharpened(belief: float, sharpness: float, threshold: float) -> float:
@@ -162,30 +136,40 @@ class Observed(gym.ObservationWrapper[Any, Any, Any]):
 
 
 class BeliefObserved(Observed):
-    """Shows what an estimator says of the episode, as a weight by `sharpened` where a rule is given."""
+    """Shows what an estimator says of the episode so far, as a weight by `sharpened` where a rule is given."""
 
-    def __init__(self, env: Env, estimator: Estimator, rule: tuple[float, float] = (1.0, 0.5)) -> None:
-        self._belief = Belief(env, estimator)
-        super().__init__(env, lambda table: sharpened(self._belief.see(table), *rule))
+    def __init__(self, env: Env, estimator: Estimator, rule: Rule = (1.0, 0.5)) -> None:
+        super().__init__(env, self._see)
+        self._perception, self._estimator, self._rule = Perception(env), estimator, rule
+        self._memory: Tensor | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
         """Begin an episode without a memory."""
-        self._belief.reset()
+        self._perception.reset()
+        self._memory = None
         return super().reset(**kwargs)
 
+    @torch.inference_mode()
+    def _see(self, table: np.ndarray) -> float:
+        view = features(self._perception.look(table), len(table))
+        logits, self._memory = self._estimator(
+            *(torch.from_numpy(part)[None, None] for part in view), self._memory
+        )
+        return sharpened(float(torch.sigmoid(logits[0, 0])), *self._rule)
 
-class ShuffledObserved(BeliefObserved):
+
+class ShuffledObserved(Observed):
     """Shows what the estimator has said in another episode, which the seed of `reset` draws."""
 
-    def __init__(self, env: Env, estimator: Estimator, rule: tuple[float, float] = (1.0, 0.5)) -> None:
-        Observed.__init__(self, env, lambda _: sharpened(float(next(self._trace)), *rule))
+    def __init__(self, env: Env, estimator: Estimator, rule: Rule = (1.0, 0.5)) -> None:
+        super().__init__(env, lambda _: sharpened(float(next(self._trace)), *rule))
         self._traces, self._trace = estimator.traces, iter([])
 
     def reset(self, *, seed: int | None = None, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
         """Begin an episode. Of an episode longer than the other the last estimate stays."""
         row = self._traces[stream(seed or 0, "shuffled").integers(len(self._traces))]
         self._trace = chain(row, repeat(row[-1]))
-        return Observed.reset(self, seed=seed, **kwargs)
+        return super().reset(seed=seed, **kwargs)
 
 
 class Weighed:

@@ -110,7 +110,7 @@ def train(task: str, level: int) -> dict[str, Any]:
     last = np.maximum.accumulate(
         np.where(alive > 0, np.arange(alive.shape[1]), 0), axis=1
     )  # stays once it is over
-    estimator.traces = 1 / (1 + np.exp(-np.take_along_axis(logits, last, axis=1)))
+    estimator.traces = torch.from_numpy(logits).take_along_dim(torch.from_numpy(last), 1).sigmoid()
     estimator.save(FOLDER / f"{name}.npz")
     row = {"setting": name, "episodes": 2 * number, "held_out": 2 * HELD_OUT, **judged(logits, alive, dose)}
     return {

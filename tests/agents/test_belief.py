@@ -14,7 +14,6 @@ from gymnasium.utils.env_checker import check_env
 from agents.belief import (
     EGO,
     VEHICLE,
-    Belief,
     BeliefObserved,
     Estimator,
     Observed,
@@ -24,7 +23,7 @@ from agents.belief import (
     fit,
     sharpened,
 )
-from agents.checkpoint import CheckpointError, save_arrays
+from agents.checkpoint import save_arrays
 from agents.greedy import Greedy
 from agents.rules.perception import Perception
 from tests.agents.test_rules import road, scene
@@ -67,7 +66,7 @@ def estimator() -> Estimator:
     alive = np.ones((1000, 6), np.float32)
     data = np.zeros((1000, 6, EGO), np.float32), vehicles, alive, dose.astype(np.float32)
     found = fit(*map(torch.from_numpy, data), seed=0)
-    found.traces = np.array([[0.25, 0.5], [0.75, 1.0]])
+    found.traces = torch.tensor([[0.25, 0.5], [0.75, 1.0]])
     return found
 
 
@@ -94,7 +93,7 @@ class TestEstimator:
 
     def test_a_file_of_something_else_is_refused(self, tmp_path: Path) -> None:
         save_arrays(tmp_path / "other.npz", {"weights": np.zeros(3)})
-        with pytest.raises(CheckpointError, match="no file of an estimator"):
+        with pytest.raises(ValueError, match="weights of another network"):
             Estimator.load(tmp_path / "other.npz")
 
 
@@ -114,9 +113,12 @@ class TestColumns:
         first = seen(env, 3)
         assert seen(env, 4) != first
         assert seen(env, 3) == first
-        belief, plain = Belief(env, estimator), make_env("sumo", "u-turn")
+        plain, perception = make_env("sumo", "u-turn"), Perception(env)
         tables = [plain.reset(seed=3)[0], *(plain.step(1)[0] for _ in range(4))]
-        assert [belief.see(table) for table in tables] == pytest.approx(first, abs=1e-6)
+        parts = zip(*(features(perception.look(table), 2) for table in tables), strict=True)
+        with torch.inference_mode():
+            logits, _ = estimator(*(torch.from_numpy(np.stack(part))[None] for part in parts))
+        assert torch.sigmoid(logits[0]).tolist() == pytest.approx(first, abs=1e-6)
 
     def test_a_rule_makes_a_weight_of_it(self, estimator: Estimator) -> None:
         plain, sharp = (

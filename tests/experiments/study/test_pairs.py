@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from agents.belief import Estimator
 from experiments.analysis.plan import FOURTH as PLAN
@@ -33,7 +34,7 @@ def own_estimators(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "estimators"
     folder.mkdir()
     monkeypatch.setattr(estimators, "FOLDER", folder)
-    Estimator(np.array([[0.1, 0.9], [0.9, 0.1]])).save(folder / "u-turn-3.npz")
+    Estimator(torch.tensor([[0.1, 0.9], [0.9, 0.1]])).save(folder / "u-turn-3.npz")
     return folder
 
 
@@ -56,7 +57,7 @@ class TestCells:
 
     def test_names_follow_the_estimator_where_one_is_asked(self, own_estimators: Path) -> None:
         before, trained = pairs(), self.arm("mixed-belief")
-        Estimator(np.array([[0.2, 0.9]])).save(own_estimators / "u-turn-3.npz")
+        Estimator(torch.tensor([[0.2, 0.9]])).save(own_estimators / "u-turn-3.npz")
         after = pairs()
         moved = {
             PAIRS[before[slug].arm or ""].weight for slug in before if before[slug].name != after[slug].name

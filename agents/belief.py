@@ -181,7 +181,8 @@ class Weighed:
     def __init__(self, first: Greedy, second: Greedy) -> None:
         self._agents = first, second
         for agent in self._agents:
-            agent.network.half().float()
+            for value in agent.network.state_dict().values():
+                value.copy_(value.half())
 
     def act(self, observation: np.ndarray) -> int:
         """The action. Raises ValueError when its value is no finite number."""

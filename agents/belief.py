@@ -8,7 +8,7 @@ column of the observation, which one of the wrappers adds: the estimate, the est
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
@@ -163,7 +163,8 @@ class ShuffledObserved(Observed):
 
     def __init__(self, env: Env, estimator: Estimator, rule: Rule = (1.0, 0.5)) -> None:
         super().__init__(env, lambda _: sharpened(float(next(self._trace)), *rule))
-        self._traces, self._trace = estimator.traces, iter([])
+        self._traces: Tensor = estimator.traces
+        self._trace: Iterator[Tensor] = iter(())
 
     def reset(self, *, seed: int | None = None, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
         """Begin an episode. Of an episode longer than the other the last estimate stays."""

@@ -63,9 +63,8 @@ def estimator() -> Estimator:
     vehicles = random.normal(0, 0.1, (1000, 6, 2, VEHICLE)).astype(np.float32)
     vehicles[..., 0] = 1
     vehicles[:, 2, 0, -2] += 3 * dose
-    alive = np.ones((1000, 6), np.float32)
-    data = np.zeros((1000, 6, EGO), np.float32), vehicles, alive, dose.astype(np.float32)
-    found = fit(*map(torch.from_numpy, data), seed=0)
+    told = torch.from_numpy(dose).float()
+    found = fit(torch.zeros(1000, 6, EGO), torch.from_numpy(vehicles), torch.ones(1000, 6), told, seed=0)
     found.traces = torch.tensor([[0.25, 0.5], [0.75, 1.0]])
     return found
 

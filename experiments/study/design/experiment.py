@@ -213,7 +213,7 @@ class Experiment:
             made: dict[str, Any] = {"agents": [one.name, other.name], "weight": pair.weight}
             if pair.weight in ("belief", "shuffled"):
                 made |= {"rule": list(RULE), "estimator_sha256": digest(one)}
-            asked = [(TRAFFICS, one.episodes)]
+            asked: list[tuple[Sequence[str], int]] = [(TRAFFICS, one.episodes)]
             if pair.weight in ("half", "belief"):
                 others = (BETWEEN, unseen_traffics(one.task, one.backend))
                 asked += [(names, min(one.episodes, ELSEWHERE)) for names in others]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -142,8 +143,8 @@ class TestPlan:
 
 
 def test_a_report_answers_the_questions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = {"seeds": 4, "tests": 12, "further": ("mixed",), "pairs": True, "preset": "pairs"}
-    synthetic.write(tmp_path, {"u-turn": (1,)}, **asked)
+    asked: dict[str, Any] = {"seeds": 4, "pairs": True, "preset": "pairs"}
+    synthetic.write(tmp_path, {"u-turn": (1,)}, tests=12, further=("mixed",), **asked)
     found = analyse(load(tmp_path))
     assert found.plan["version"] == 4 and not found.notes["left_out"]
     assert len(found.price.query("scope == 'all tasks'")) == len(PLAN.price)

@@ -38,7 +38,7 @@ DRIVERS = "control", "treatment", "mixed"
 RANDOM = 0.15  # share of random actions in every second scenario
 # Scenarios that it is trained on, each at both doses. On the u-turn a belief is worth most; on the highway an episode
 # takes long.
-SCENARIOS = {"u-turn-3": 2000, "roundabout-5": 700, "intersection-10": 700, "two-way-5+2": 700, "highway-50": 300}
+SCENARIOS = {"u-turn-3": 1200, "roundabout-5": 700, "intersection-10": 700, "two-way-5+2": 700, "highway-50": 300}
 HELD_OUT = 150  # scenarios that it is judged on, each at both doses
 SECONDS = 1, 2, 3, 5, 8
 SEED = 0

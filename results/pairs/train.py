@@ -1,6 +1,6 @@
 """Train the estimators of the dose of risk (`agents.belief`), and say how good they are.
 
-    python results/estimators/train.py u-turn-3 roundabout-5 intersection-10 two-way-5+2 highway-50
+    python results/pairs/train.py u-turn-3 roundabout-5 intersection-10 two-way-5+2 highway-50
 
 writes results/estimators/SETTING.npz and a row of results/estimators/estimators.csv for each setting. Labelled episodes
 are driven by published agents, half of the episodes with some random actions, in scenarios that no test and no training

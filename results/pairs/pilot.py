@@ -1,7 +1,7 @@
 """How the belief should act: the pilot of the fourth plan, on scenarios that no test and no training meets.
 
-    python results/estimators/pilot.py            # plays what is missing in pilot.parquet (of some TASKS: name them),
-    python results/estimators/pilot.py --choose   # then prints the choice
+    python results/pairs/pilot.py            # plays what is missing in pilot.parquet (of some TASKS: name them),
+    python results/pairs/pilot.py --choose   # then prints the choice
 
 Published agents (results/agents.npz, training seed 100) of the lightest settings. Rules are judged over the five tasks
 alike, by crash rates: in risky traffic against the treated agent (margin 5 points), in regular traffic against the

@@ -11,10 +11,8 @@ if TYPE_CHECKING:
     from experiments.study.design.grid import Cell
 
 FOLDER = Path(__file__).resolve().parents[3] / "results" / "estimators"
-RULE = (
-    1.0,
-    0.5,
-)  # sharpness and threshold, see `agents.belief.sharpened`; chosen as docs/developers/plan_v4.md says
+# Sharpness and threshold, see `agents.belief.sharpened`; chosen as docs/developers/plan_v4.md says.
+RULE = (3.0, 0.3)
 
 
 def digest(cell: Cell) -> str:

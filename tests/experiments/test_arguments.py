@@ -48,6 +48,7 @@ ARGUMENTS = {
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "arms": st.lists(some(EVERY_ARM), max_size=3).map(tuple),
+    "pairs": st.booleans(),
     "placebo": st.booleans(),
     "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),
     "config": st.lists(

@@ -153,4 +153,4 @@ def test_a_report_answers_the_questions(tmp_path: Path, monkeypatch: pytest.Monk
     assert {*found.policies["arm"]} >= {*PAIRS}
     monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
     text = report.write_report(tmp_path).read_text()
-    assert "weighed by a belief about the traffic" in text and "Gain without price" not in text
+    assert "weighed by a belief about the traffic" in text and "mix of both traffics" not in text

@@ -4,9 +4,10 @@ not learn (pip install stable-baselines3 eclipse-sumo, and this package).
     python examples/arrive.py --out arrive.json              # all, some hours; goes on where it was stopped
     python examples/arrive.py --only ramp/sb3-dqn --steps 2000 --episodes 10
 
-ramp: from the acceleration lane between the cars of a motorway, and on. grid: a left and a right turn and three traffic
-lights, which the agent has to learn; nobody comes towards it at the left turn. town: three trips through Braunschweig,
-where the ego obeys its light by itself.
+ramp: from the acceleration lane between the cars of a motorway, and on. grid: a left turn, where others come towards
+the ego, a right turn and three traffic lights, which the agent has to learn. town: three trips through Braunschweig,
+where the ego obeys its light by itself. Roads, traffic, horizon and seeds of the grid were fixed before any agent was
+trained on this grid; only the agent's side (observation, rewards, settings of learners) was tuned, on other seeds.
 Each line counts how 100 episodes ended. Their seeds are none of the training's, and settings were chosen on other seeds
 (--tune).
 """
@@ -25,7 +26,8 @@ import torch
 
 from sumo_env.env import SumoDrivingEnv
 
-TEST, TUNE = 10_000, 50_000  # first seeds of the test, and of the choice of settings
+TEST, TUNE = 10_000, 50_000  # first seeds of the test's episodes, and of those for the choice of settings
+TRAININGS, TRIALS = (0, 1, 2), (100,)  # seeds of the trainings, and of those for the choice of settings
 
 RAMP = {
     "node-files": '<nodes><node id="west" x="-300" y="0"/><node id="south" x="-250" y="-100"/>'
@@ -42,7 +44,7 @@ RAMP = {
 }
 GRID = "--grid --grid.number=2 --grid.length=150 --grid.attach-length=150 -L=2 --no-turnarounds --tls.cycle.time=50"
 GRID_ROUTES = (
-    *("left0A0 A0B0 B0right0", "left1A1 A1B1 B1right1", "right1B1 B1A1 A1left1"),
+    *("left0A0 A0B0 B0right0", "right0B0 B0A0 A0left0", "left1A1 A1B1 B1right1", "right1B1 B1A1 A1left1"),
     *("bottom0A0 A0A1 A1top0", "bottom1B0 B0B1 B1top1", "top1B1 B1B0 B0bottom1"),
 )
 # Braunschweig, from OpenStreetMap, in the wheel of eclipse-sumo: a game, whose traffic light waits for the player.
@@ -50,12 +52,15 @@ TOWN = ("tools/game/bs3d/bs.net.xml", "--tls.rebuild")
 TRIPS = [("38167741#2", "23207363#0"), ("23209601#2", "29136063#3"), ("61734682#1", "30425847#1")]
 CONFIG = {
     "ramp": {"vehicles_count": 10, "spawn_probability": 0.5, "duration": 60, "policy_frequency": 2},
+    "grid": {"vehicles_count": 12, "spawn_probability": 0.5, "duration": 120, "simulation_frequency": 5},
+    "town": {"warm_up": 30, "duration": 120, "simulation_frequency": 5, "obey_traffic_lights": True},
+}
+# The agent's side: what it sees, and what it is paid.
+AGENT = {
     "grid": {
-        **{"vehicles_count": 12, "spawn_probability": 0.5, "duration": 120, "simulation_frequency": 5},
         "red_light_reward": -5,
         "observation": {"type": "Kinematics", "vehicles_count": 1},  # the ego's row alone
     },
-    "town": {"warm_up": 30, "duration": 120, "simulation_frequency": 5, "obey_traffic_lights": True},
 }
 # What differs for drivers that do not learn.
 CONFIG_OF = {
@@ -66,7 +71,7 @@ CONSTANTS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 
 
 def make(name, folder, config=None, **keywords):
-    """The environment of a scenario, with its files in this folder; config: what differs from `CONFIG`."""
+    """The environment of a scenario, with its files in this folder; config: what differs from `CONFIG` and `AGENT`."""
     folder = Path(folder)
     net, command = folder / f"{name}.net.xml", ["netconvert"]
     if name == "ramp":
@@ -91,7 +96,7 @@ def make(name, folder, config=None, **keywords):
     if not net.exists():
         tool = sumolib.checkBinary(command[0])
         subprocess.run([tool, *command[1:], f"--output-file={net}"], check=True, capture_output=True)
-    return SumoDrivingEnv(net, **scenario, config={**CONFIG[name], **(config or {})}, **keywords)
+    return SumoDrivingEnv(net, **scenario, config={**CONFIG[name], **AGENT.get(name, {}), **(config or {})}, **keywords)
 
 
 def ending(info):
@@ -197,15 +202,15 @@ if __name__ == "__main__":
     )
     parser.add_argument("--out", default="arrive.json")
     parser.add_argument("--only", default="", help="lines whose names begin so, such as grid/dqn")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the trainings")
+    parser.add_argument("--seeds", type=int, nargs="+", help=f"of the trainings, by default {TRAININGS}")
     parser.add_argument("--steps", type=int, help="of a training")
     parser.add_argument("--episodes", type=int, default=100, help="of the test, at each dose")
-    parser.add_argument("--tune", action="store_true", help="test on the seeds for the choice of settings")
+    parser.add_argument("--tune", action="store_true", help="train and test on the seeds for the choice of settings")
     args = parser.parse_args()
     torch.set_num_threads(1)
     out, first = Path(args.out), TUNE if args.tune else TEST
     with tempfile.TemporaryDirectory() as folder:
-        for key in rows(args.seeds):
+        for key in rows(args.seeds or (TRIALS if args.tune else TRAININGS)):
             if key.startswith(args.only) and key not in (json.loads(out.read_text()) if out.exists() else {}):
                 line = row(key, folder, range(first, first + args.episodes), args.steps)
                 lines = (

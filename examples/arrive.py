@@ -96,7 +96,9 @@ def make(name, folder, config=None, **keywords):
     if not net.exists():
         tool = sumolib.checkBinary(command[0])
         subprocess.run([tool, *command[1:], f"--output-file={net}"], check=True, capture_output=True)
-    return SumoDrivingEnv(net, **scenario, config={**CONFIG[name], **AGENT.get(name, {}), **(config or {})}, **keywords)
+    return SumoDrivingEnv(
+        net, **scenario, config={**CONFIG[name], **AGENT.get(name, {}), **(config or {})}, **keywords
+    )
 
 
 def ending(info):
@@ -205,7 +207,9 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, nargs="+", help=f"of the trainings, by default {TRAININGS}")
     parser.add_argument("--steps", type=int, help="of a training")
     parser.add_argument("--episodes", type=int, default=100, help="of the test, at each dose")
-    parser.add_argument("--tune", action="store_true", help="train and test on the seeds for the choice of settings")
+    parser.add_argument(
+        "--tune", action="store_true", help="train and test on the seeds for the choice of settings"
+    )
     args = parser.parse_args()
     torch.set_num_threads(1)
     out, first = Path(args.out), TUNE if args.tune else TEST

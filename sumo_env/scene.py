@@ -35,11 +35,13 @@ class Light(NamedTuple):
 
 NO_LIGHT = Light()
 
-# The nearest vehicles on the ego's lane and on those beside it, with the names of their features.
-NEIGHBOURS = ("leader", "left_leader", "left_follower", "right_leader", "right_follower")
+# The nearest vehicles on the ego's lane and on those beside it, and the one to which it has to give way, with the names
+# of their features.
+NEIGHBOURS = ("leader", "left_leader", "left_follower", "right_leader", "right_follower", "foe")
 # Features of an observation, of the ego alone, on a network of a user's own: how far its lane and the lanes beside it
 # lead along its route [m], the state of the next traffic light, how far its stop line is [m], and how far each
-# neighbour is [m] and at which speed the gap closes [m/s]. Distances are PERCEPTION_DISTANCE at most.
+# neighbour is [m] and at which speed the gap closes [m/s]; of the foe, how far it is from the junction, and its speed.
+# Distances are PERCEPTION_DISTANCE at most.
 LANE_ENDS = ("lane_end", "lane_end_left", "lane_end_right")
 GAPS = tuple(f"{name}_gap" for name in NEIGHBOURS)
 CLOSING = tuple(f"{name}_closing" for name in NEIGHBOURS)
@@ -73,6 +75,7 @@ class Place(NamedTuple):
         red_light: whether it has driven over a stop line at red in this policy step.
         waiting: number of vehicles that wait until SUMO can insert them.
         neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
+        foe: the next vehicle to which it has to give way at the next junction: see `surroundings.foe`.
         fuel: burnt in this policy step [mg]; electricity: consumed [Wh].
     """
 
@@ -88,6 +91,7 @@ class Place(NamedTuple):
     red_light: bool = False
     waiting: int = 0
     neighbours: tuple[Neighbour, ...] = (NOBODY,) * 6
+    foe: Neighbour = NOBODY
     fuel: float = 0.0
     electricity: float = 0.0
 

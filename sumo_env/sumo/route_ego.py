@@ -13,7 +13,7 @@ from sumo_env.scene import NOBODY, Neighbour, Place
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.ego import Controls, coast, driven, speed_before
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
-from sumo_env.sumo.surroundings import neighbours
+from sumo_env.sumo.surroundings import foe, neighbours
 
 REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
 
@@ -216,6 +216,7 @@ class RouteEgo:
             red_light=self.red_light,
             waiting=waiting,
             neighbours=(NOBODY,) * 6 if gone else self._neighbours(),
+            foe=NOBODY if gone else foe(self._session, self._name),
             fuel=self._fuel,
             electricity=self._electricity,
         )

@@ -172,7 +172,7 @@ def _read(path: Path, changed: int) -> Network:
                         inside = sumo_lanes[inside].following[0]
                     if not within:
                         raise ValueError(
-                            f"{path} has no lanes inside its junctions (--no-internal-links?): "
+                            f"{path} has no lanes inside its junctions: make it without --no-internal-links "
                             f"from edge {name!r} to edge {goal!r}"
                         )
                     place = joints[goal] = joints.get(goal, -1) + 1

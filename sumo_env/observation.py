@@ -220,14 +220,13 @@ def on_its_way(scene: Scene) -> dict[str, float]:
         (left_follower, place.left, -1.0),
         (right_leader, place.right, 1.0),
         (right_follower, place.right, -1.0),
-        (place.foe, True, 0.0),
     ):
         gaps.append(max(other.gap, 0.0) if may else 0.0)
         closing.append(sign * (speed - other.speed) if other.id else 0.0)
-    closing[-1] = place.foe.speed
     ends = (place.free, place.free_left, place.free_right)
-    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, light.distance, *gaps)]
-    values = (*distances[:3], float(light.state), *distances[3:], *closing)
+    distances = (*ends, light.distance, *gaps, place.foe.gap)
+    *distances, foe_gap = (min(distance, PERCEPTION_DISTANCE) for distance in distances)
+    values = (*distances[:3], float(light.state), *distances[3:], *closing, foe_gap, place.foe.speed)
     return dict(zip(ON_ITS_WAY, values, strict=True)) | {SECONDS_LEFT: light.seconds}
 
 

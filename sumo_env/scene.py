@@ -35,17 +35,17 @@ class Light(NamedTuple):
 
 NO_LIGHT = Light()
 
-# The nearest vehicles on the ego's lane and on those beside it, and the one to which it has to give way, with the names
-# of their features.
-NEIGHBOURS = ("leader", "left_leader", "left_follower", "right_leader", "right_follower", "foe")
+# The nearest vehicles on the ego's lane and on those beside it, with the names of their features.
+NEIGHBOURS = ("leader", "left_leader", "left_follower", "right_leader", "right_follower")
 # Features of an observation, of the ego alone, on a network of a user's own: how far its lane and the lanes beside it
 # lead along its route [m], the state of the next traffic light, how far its stop line is [m], and how far each
-# neighbour is [m] and at which speed the gap closes [m/s]; of the foe, how far it is from the junction, and its speed.
-# Distances are PERCEPTION_DISTANCE at most.
+# neighbour is [m] and at which speed the gap closes [m/s], and of the vehicle to which it has to give way at the next
+# junction how far it is from there [m], and its speed [m/s]. Distances are PERCEPTION_DISTANCE at most.
 LANE_ENDS = ("lane_end", "lane_end_left", "lane_end_right")
 GAPS = tuple(f"{name}_gap" for name in NEIGHBOURS)
 CLOSING = tuple(f"{name}_closing" for name in NEIGHBOURS)
-ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING)
+FOE = ("foe_gap", "foe_speed")
+ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING, *FOE)
 SECONDS_LEFT = "light_seconds"  # likewise, where it is asked for: until the light's next phase [s]
 
 

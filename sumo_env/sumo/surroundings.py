@@ -147,7 +147,7 @@ def foe(session: Session, name: str) -> Neighbour:
         return session.call(function, (argument, *further), {})
 
     lane, nearest = session.lane_of(name), NOBODY
-    ways = ask("lane.getLinks", lane)
+    ways = ask("lane.getLinks", lane) if lane else ()  # a vehicle that is parked has none
     if not lane.startswith(":"):  # else there is one way on
         taken = [link[4] for link in ask("vehicle.getNextLinks", name)[:1]]
         ways = [way for way in ways if way[4] in taken]

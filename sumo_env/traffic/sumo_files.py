@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import difflib
 import gzip
+import math
 import os
 import re
 import tempfile
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,10 @@ LEFT_OUT = (
     *("xml-validation.net", "xml-validation.routes"),
 )
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
+UNSORTED = (
+    "it departs before what stands before it in its route file. Sort the file (SUMO has "
+    "tools/route/sort_routes.py), or take it as an additional file"
+)
 DEPARTING = ("vehicle", "trip", "flow", "person", "personFlow", "container", "containerFlow")
 
 
@@ -155,33 +159,46 @@ def seconds(option: str, text: str) -> float:
 
 
 class Contents:
-    """What is asked of route and additional files before SUMO reads them."""
+    """What has to be known of route and additional files before SUMO reads them.
+
+    Attributes:
+        ids: of all elements.
+        models: car-following models of the vehicle types that name one, by type.
+        first_departure: time of the first departure [s], None without one.
+        left_out: ids of what SUMO leaves out: it departs earlier than what stands before it in a route file.
+    """
 
     def __init__(self, options: Options) -> None:
-        listed = (options.get("additional-files", ""), options.get("route-files", ""))
-        self.files = [Path(part) for names in listed for part in names.split(",") if part]
+        self.ids: set[str] = set()
+        self.models: dict[str, str] = {}
+        self.first_departure: float | None = None
+        self.left_out: list[str] = []
+        self._vehicles: set[str] = set()
+        for option in ("additional-files", "route-files"):
+            in_order = option == "route-files" and options.get("route-steps") != "0"
+            for name in filter(None, options.get(option, "").split(",")):
+                self._read(Path(name), in_order)
 
-    def first_departure(self) -> float | None:
-        """Time of the first departure [s], for SUMO reads files in the order of departure; None without one."""
-        times = []
-        for file in self.files:
-            with closing(_elements(file)) as elements:
-                for item in elements:
-                    text = item.get("depart", item.get("begin"))
-                    if item.tag in DEPARTING and text is not None:
-                        if re.fullmatch(r"[\d.:]+", text):
-                            times.append(seconds("depart", text))
-                        break
-        return min(times, default=None)
-
-    def has_id(self, name: str) -> bool:
-        """Whether something in the files may have this id."""
-        pattern = re.compile(rb"""\bid\s*=\s*["']%s["']""" % re.escape(name.encode()))
-        for file in self.files:
-            with _opened(file) as opened:
-                if pattern.search(opened.read()):
-                    return True
-        return False
+    def _read(self, file: Path, in_order: bool) -> None:
+        latest = -math.inf
+        for item in _elements(file):
+            name = item.get("id", "")
+            self.ids.add(name)
+            if item.tag == "vType" and (model := item.get("carFollowModel")):
+                self.models[name] = model
+            if item.tag not in DEPARTING:
+                continue
+            if item.tag in ("vehicle", "trip", "flow"):
+                self._vehicles.add(name)
+            text = item.get("depart", item.get("begin", ""))
+            if re.fullmatch(r"[\d.:]+", text):
+                time = seconds("depart", text)
+                if in_order and time < latest:
+                    self.left_out.append(name)
+                    continue
+                latest = max(latest, time)
+                if self.first_departure is None or time < self.first_departure:
+                    self.first_departure = time
 
     def check_vehicle(self, name: str) -> None:
         """That a vehicle of this id comes, as far as the files say.
@@ -189,31 +206,16 @@ class Contents:
         Raises:
             ConfigError: there is none; the message names near ids.
         """
-        known: set[str] = set()
-        for file in self.files:
-            for item in _elements(file):
-                if item.tag in ("vehicle", "trip", "flow"):
-                    known.add(item.get("id", ""))
-        if name in known or name.rpartition(".")[0] in known:
-            return
+        known = sorted(self._vehicles)
         stem, _, number = name.rpartition(".")
-        near = difflib.get_close_matches(name, sorted(known), n=5)
-        near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, sorted(known), n=5)]
-        hint = (
-            f"did you mean one of {', '.join(near)}?"
-            if near
-            else f"they have {', '.join(sorted(known)[:20])}"
-        )
+        if name in self.left_out or stem in self.left_out:
+            raise ConfigError(f"SUMO leaves out the vehicle {name!r}: {UNSORTED}")
+        if name in known or stem in known:
+            return
+        near = difflib.get_close_matches(name, known, n=5)
+        near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, known, n=5)]
+        hint = f"did you mean one of {', '.join(near)}?" if near else f"they have {', '.join(known[:20])}"
         raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
-
-    def models(self) -> dict[str, str]:
-        """Car-following models of the vehicle types that name one, by type."""
-        return {
-            item.get("id", ""): item.get("carFollowModel", "")
-            for file in self.files
-            for item in _elements(file)
-            if item.tag == "vType" and item.get("carFollowModel")
-        }
 
 
 def _opened(file: Path) -> Any:

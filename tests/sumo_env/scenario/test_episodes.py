@@ -236,6 +236,25 @@ def test_begin_is_the_first_departure_where_nothing_departs_for_a_minute(town: P
         SumoDrivingEnv(town, ego_route=WAY, sumo_options=["--begin=5"])
 
 
+def test_what_sumo_leaves_out_of_unsorted_files_is_named(town: Path, tmp_path: Path) -> None:
+    """It says so itself in a warning, and warnings are off."""
+    file, way = tmp_path / "unsorted.rou.xml", 'from="A0A1" to="C1C2"'
+    rows = ("late", 20), ("early", 10), ("later", 30)
+    trips = "".join(f'<trip id="{name}" depart="{time}" {way}/>' for name, time in rows)
+    file.write_text(f'<routes>{trips}<flow id="flow" begin="0" end="90" period="5" {way}/></routes>')
+    net, all_of_it = town.with_name("grid.net.xml"), {"warm_up": 40}
+    with pytest.warns(UserWarning, match=r"leaves out 2 of the files \(early, flow\).*sort_routes"):
+        env = SumoDrivingEnv(net, file, ego_route=WAY, config=all_of_it)
+    env.reset(seed=0)
+    assert set(env.scene.ids[1:]) == {"late", "later"}
+    for name in ("early", "flow.3"):
+        with pytest.raises(ConfigError, match=f"leaves out the vehicle '{name}'.*sort_routes"):
+            SumoDrivingEnv(net, file, ego_vehicle=name)
+    env = SumoDrivingEnv(net, additional=file, ego_route=WAY, config=all_of_it)
+    env.reset(seed=0)
+    assert {"early", "flow.3"} <= set(env.scene.ids)
+
+
 def test_vehicles_that_cannot_come_yet_are_counted(tmp_path: Path) -> None:
     env = SumoDrivingEnv(written(tmp_path, "queues"), ego_vehicle="q1")
     assert env.reset(seed=0)[1]["vehicles_waiting"] > 5

@@ -109,8 +109,8 @@ def ending(info):
 
 
 def drive(env, act, seeds, begin=lambda seed: None):
-    """Count how episodes end, and in how many a red light was run."""
-    ends, red = Counter(), 0
+    """Count how episodes end, where which crashes are, and in how many a red light was run."""
+    ends, crashes, red = Counter(), Counter(), 0
     for seed in seeds:
         observation, info = env.reset(seed=seed)
         begin(seed)
@@ -121,7 +121,11 @@ def drive(env, act, seeds, begin=lambda seed: None):
             over = terminated or truncated
         ends[ending(info)] += 1
         red += ran
-    return {**dict(sorted(ends.items())), "ran a red light": red}
+        if info["crashed"]:
+            edge, _, end = env.unwrapped.scene.place.lane[0].partition(":")
+            crashes[f"{info['crash']['type']} {'on' if end == 'from' else 'after'} {edge}"] += 1
+    counts = {**dict(sorted(ends.items())), "ran a red light": red}
+    return {**counts, "crashes": dict(crashes.most_common())} if crashes else counts
 
 
 def sb3_dqn(env, seed, steps, epsilon=0.05):

@@ -25,6 +25,7 @@ import sumolib
 import torch
 
 from sumo_env.env import SumoDrivingEnv
+from sumo_env.scene import ON_ITS_WAY
 
 TEST, TUNE = 10_000, 50_000  # first seeds of the test's episodes, and of those for the choice of settings
 TRAININGS, TRIALS = (0, 1, 2), (100,)  # seeds of the trainings, and of those for the choice of settings
@@ -59,7 +60,12 @@ CONFIG = {
 AGENT = {
     "grid": {
         "red_light_reward": -5,
-        "observation": {"type": "Kinematics", "vehicles_count": 1},  # the ego's row alone
+        # the ego's row alone, and to whom it has to give way
+        "observation": {
+            "type": "Kinematics",
+            "vehicles_count": 1,
+            "features": ["vx", *ON_ITS_WAY, "foe_gap", "foe_speed"],
+        },
     },
 }
 # What differs for drivers that do not learn.

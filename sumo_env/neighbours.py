@@ -18,6 +18,7 @@ from sumo_env.scene import (
     MAX_SPEED,
     NOBODY,
     ON_ITS_WAY,
+    ON_REQUEST,
     PERCEPTION_DISTANCE,
     SECONDS_LEFT,
     Neighbour,
@@ -47,7 +48,7 @@ class LeadersFollowers:
         given = config.get("features") or ()
         if given and not on_its_way:
             raise ConfigError("'LeadersFollowers' has 'features' on networks of your own alone")
-        known = (*ON_ITS_WAY, SECONDS_LEFT)
+        known = (*ON_ITS_WAY, *ON_REQUEST)
         self.features = tuple(one_of("observation feature", feature, known) for feature in given)
         scale = [MAX_SPEED, *(1.0, PERCEPTION_DISTANCE, MAX_SPEED, PERCEPTION_DISTANCE, MAX_SPEED) * 3]
         scale += [SCALES.get(feature, PERCEPTION_DISTANCE) for feature in self.features]

@@ -39,14 +39,15 @@ NO_LIGHT = Light()
 NEIGHBOURS = ("leader", "left_leader", "left_follower", "right_leader", "right_follower")
 # Features of an observation, of the ego alone, on a network of a user's own: how far its lane and the lanes beside it
 # lead along its route [m], the state of the next traffic light, how far its stop line is [m], and how far each
-# neighbour is [m] and at which speed the gap closes [m/s], and of the vehicle to which it has to give way at the next
-# junction how far it is from there [m], and its speed [m/s]. Distances are PERCEPTION_DISTANCE at most.
+# neighbour is [m] and at which speed the gap closes [m/s]. Distances are PERCEPTION_DISTANCE at most.
 LANE_ENDS = ("lane_end", "lane_end_left", "lane_end_right")
 GAPS = tuple(f"{name}_gap" for name in NEIGHBOURS)
 CLOSING = tuple(f"{name}_closing" for name in NEIGHBOURS)
-FOE = ("foe_gap", "foe_speed")
-ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING, *FOE)
-SECONDS_LEFT = "light_seconds"  # likewise, where it is asked for: until the light's next phase [s]
+ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING)
+# Likewise, where they are asked for: the time until the light's next phase [s]; of the vehicle to which the ego has to
+# give way at the next junction, how far it is from there [m], and its speed [m/s].
+SECONDS_LEFT, FOE = "light_seconds", ("foe_gap", "foe_speed")
+ON_REQUEST = (SECONDS_LEFT, *FOE)
 
 
 class Neighbour(NamedTuple):

@@ -10,13 +10,15 @@ from pathlib import Path
 
 from sumo_env.config import ConfigError
 
-# What the environment sets itself, or could not do its work with.
-REFUSED = (
+# What the environment sets itself, or could not do its work with: everywhere, where it places all vehicles, and where
+# SUMO loads the traffic of its own files.
+EVERYWHERE = {
     *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length"),
-    *("--collision.action", "--collision.check-junctions", "--collision.mingap-factor", "--time-to-teleport"),
-    *("--lanechange.duration", "--lateral-resolution", "--load-state", "--mesosim"),
-    *("--remote-port", "--num-clients", "--gui", "--start"),
-)
+    *("--collision.action", "--collision.check-junctions", "--collision.mingap-factor"),
+    *("--load-state", "--mesosim", "--remote-port", "--num-clients", "--gui", "--start"),
+}
+REFUSED = EVERYWHERE | {"--time-to-teleport", "--lanechange.duration", "--lateral-resolution"}
+REFUSED_FOR_FILES = EVERYWHERE | {"--seed", "--random", "--output-prefix"}
 # Beginnings of the options that change what SUMO does with the vehicles of its own files: when they come, how they are
 # inserted, what their types leave out, and SUMO's random numbers.
 OF_FILES = (
@@ -26,13 +28,6 @@ OF_FILES = (
 )
 DESCRIPTORS = Path("/proc/self/fd")  # the files that this process has open, as links; on Linux
 
-
-# Likewise, where SUMO loads the traffic of its own files.
-REFUSED_FOR_FILES = (
-    *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length", "--seed"),
-    *("--random", "--collision.action", "--collision.check-junctions", "--collision.mingap-factor"),
-    *("--load-state", "--mesosim", "--output-prefix", "--remote-port", "--num-clients", "--gui", "--start"),
-)
 OUTPUT_DIR = "--output-dir"  # no option of SUMO: the folder for its outputs
 LIVE = "--sumo-gui"  # likewise: that SUMO runs in its own window
 

@@ -134,7 +134,7 @@ def drive(env, act, seeds, begin=lambda seed: None):
     return {**counts, "crashes": dict(crashes.most_common())} if crashes else counts
 
 
-def sb3_dqn(env, seed, steps, epsilon=0.05):
+def sb3_dqn(env, seed, steps, epsilon=0.05, gamma=0.98):
     """Train Stable-Baselines3's DQN."""
     from stable_baselines3 import DQN
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
@@ -146,7 +146,7 @@ def sb3_dqn(env, seed, steps, epsilon=0.05):
         seen,
         seed=seed,
         learning_rate=lambda left: 5e-4 * left,
-        gamma=0.98,
+        gamma=gamma,
         buffer_size=50_000,
         learning_starts=1000,
         batch_size=64,
@@ -160,19 +160,19 @@ def sb3_dqn(env, seed, steps, epsilon=0.05):
     return lambda table: int(model.predict(seen.normalize_obs(table.ravel()), deterministic=True)[0])
 
 
-def own_dqn(env, seed, steps, epsilon=0.1):
+def own_dqn(env, seed, steps, epsilon=0.1, gamma=0.98):
     """Train this project's double DQN."""
     from agents.dqn import DQNConfig
     from agents.training import train
 
-    settings = DQNConfig(updates=(steps - 1000) // 2, steps_per_update=2, gamma=0.98, epsilon_final=epsilon)
+    settings = DQNConfig(updates=(steps - 1000) // 2, steps_per_update=2, gamma=gamma, epsilon_final=epsilon)
     return train(env, settings, seed).policy.act
 
 
 LEARNERS = {"sb3-dqn": sb3_dqn, "dqn": own_dqn}
 STEPS = {"sb3-dqn": 50_000, "dqn": 30_000}  # of the environment
 # The grid takes more of them, and fewer random actions: in a queue at a light most of these end in a crash.
-MORE, EPSILON = {"grid": 20_000}, {"grid": {"epsilon": 0.02}}
+MORE, SETTINGS = {"grid": 20_000}, {"grid": {"epsilon": 0.02, "gamma": 0.95}}
 
 
 def rows(seeds):
@@ -190,7 +190,7 @@ def row(key, folder, seeds, steps):
     if driver in LEARNERS:
         began = time.process_time()
         steps = steps or STEPS[driver] + MORE.get(name, 0)
-        act = LEARNERS[driver](env, int(seed[0]), steps, **EPSILON.get(name, {}))
+        act = LEARNERS[driver](env, int(seed[0]), steps, **SETTINGS.get(name, {}))
         found["training CPU s"] = round(time.process_time() - began)
         print(key, found, flush=True)
     for risk in (0, 1):

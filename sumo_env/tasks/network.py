@@ -220,6 +220,12 @@ class NetworkTask(Task):
             options["begin"] = f"{begin:g}"
         start, drawn = seconds("begin", options.get("begin", "0")), ""
         scale = self._scale(config, seed)
+        without_effect = not self._drawn and (config["vehicles_count"] or config["spawn_probability"])
+        if without_effect and "route-files" in options:
+            _warn_once(
+                "'vehicles_count' and 'spawn_probability' have no effect: the route files say what comes, and "
+                "'traffic_scale' how much of it"
+            )
         if self._drawn:
             for key, most in (("vehicles_count", MOST_VEHICLES), ("spawn_probability", 1.0)):
                 config = {**config, key: min(scale * config[key], most)}

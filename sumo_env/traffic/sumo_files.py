@@ -57,6 +57,7 @@ LEFT_OUT = (
     *("xml-validation.net", "xml-validation.routes"),
 )
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
+OTHER_FILES = {"net": "a network", "configuration": "a configuration", "osm": "a map of OpenStreetMap"}
 UNSORTED = (
     "it departs before what stands before it in its route file. Sort the file (SUMO has "
     "tools/route/sort_routes.py), or take it as an additional file"
@@ -181,6 +182,7 @@ class Contents:
 
     def _read(self, file: Path, in_order: bool) -> None:
         latest = -math.inf
+        item = ElementTree.Element("")
         for item in _elements(file):
             name = item.get("id", "")
             self.ids.add(name)
@@ -199,6 +201,10 @@ class Contents:
                 latest = max(latest, time)
                 if self.first_departure is None or time < self.first_departure:
                     self.first_departure = time
+        if item.tag in OTHER_FILES:  # the root, which ends last
+            raise ConfigError(
+                f"{file} is {OTHER_FILES[item.tag]}, and no file of routes or additional elements"
+            )
 
     def check_vehicle(self, name: str) -> None:
         """That a vehicle of this id comes, as far as the files say.

@@ -172,6 +172,7 @@ def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -
         ({}, "one of ego_route"),
         ({"ego_trips": [["A0A1", "B9"]]}, "edge 'B9'"),
         ({"ego_trips": ["A0A1"]}, "pairs of edges"),
+        ({"ego_trips": [[22, 3]]}, "names of edges"),
         ({"ego_route": "A0A1"}, "list of edges"),
         (
             {"ego_vehicle": "ego", "config": {"initial_speed": "max"}},
@@ -188,6 +189,17 @@ def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -
 def test_an_ego_that_cannot_be_is_named(town: Path, change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(town, **change)
+
+
+def test_files_in_the_wrong_place_and_keys_without_effect_are_named(town: Path) -> None:
+    """SUMO would take a network for route files without a vehicle."""
+    net, routes = town.with_name("grid.net.xml"), town.with_name("t.rou.xml")
+    for file, kind in ((net, "a network"), (town, "a configuration")):
+        with pytest.raises(ConfigError, match=f"is {kind}, and no file of routes"):
+            SumoDrivingEnv(net, file, ego_route=WAY)
+    env = SumoDrivingEnv(net, routes, ego_route=WAY, config={"vehicles_count": 30})
+    with pytest.warns(UserWarning, match="'vehicles_count'.*no effect.*'traffic_scale'"):
+        env.reset(seed=0)
 
 
 def test_traffic_without_single_cars_is_refused(town: Path) -> None:

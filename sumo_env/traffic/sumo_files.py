@@ -6,11 +6,13 @@ which files there are, with which step, from when on, and which ids are in use.
 
 from __future__ import annotations
 
+import atexit
 import difflib
 import gzip
 import math
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Generator, Mapping, Sequence
 from functools import cache
@@ -108,40 +110,59 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     for path in found:
         if not path.is_file():
             raise ConfigError(f"{name}: there is no file {path}")
-    # a network is opened by the session, see `options.readable`; of the others there may be several
-    return found if name.endswith(("network", "net-file")) else tuple(map(_plain_path, found))
+    # the session does this for a network; of the others there may be several
+    return found if name.endswith(("network", "net-file")) else tuple(map(plain_path, found))
 
 
-@cache
-def _plain_path(path: Path) -> Path:
+def plain_path(path: Path) -> Path:
     """A path to a file that SUMO understands, which takes a comma as the end of a name, and ``${...}`` as a variable.
 
     Raises:
-        ConfigError: there is none, because the folder for temporary files has such a name.
+        ConfigError: there is none, because all folders for temporary files have such names.
     """
-    folder_is_odd, name_is_odd = ("," in part or "${" in part for part in (str(path.parent), path.name))
-    if not (folder_is_odd or name_is_odd):
-        return path
-    folder = Path(_links().name)
+    return path if _is_plain(path) else _linked(path, os.getpid())
+
+
+@cache
+def _linked(path: Path, process: int) -> Path:
+    """A link to a file: of this process, because a copy of it may live longer."""
+    folder = _links(process)
     ending = re.search(r"(\.\w+)*$", path.name)
     assert ending is not None
     link = folder / f"{len(list(folder.iterdir()))}{ending[0]}"
-    if "," in str(link) or "${" in str(link):
-        raise ConfigError(
-            f"SUMO cannot read {path}: it takes a comma as the end of a name, and ${{...}} as a variable. Choose "
-            "another folder (TMPDIR is the variable for temporary files)"
-        )
-    if name_is_odd:
+    if not _is_plain(path.name):
         link.symlink_to(path)
         return link
     link.symlink_to(path.parent, target_is_directory=True)  # files beside this one can be found as well
     return link / path.name
 
 
+def _is_plain(path: str | Path) -> bool:
+    return "," not in str(path) and "${" not in str(path)
+
+
+def temporary_folder() -> str:
+    """A folder for temporary files with a name that SUMO understands.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    folders = (tempfile.gettempdir(), "/tmp", "/var/tmp", os.getcwd())
+    for folder in folders:
+        if _is_plain(folder) and os.access(folder, os.W_OK):
+            return folder
+    raise ConfigError(
+        f"SUMO takes a comma as the end of a name, and ${{...}} as a variable, and needs a folder for temporary files "
+        f"without: choose one by TMPDIR (tried: {'; '.join(folders)})"
+    )
+
+
 @cache
-def _links() -> tempfile.TemporaryDirectory[str]:
-    """A folder of this process, deleted at its end."""
-    return tempfile.TemporaryDirectory(prefix="sumo_env-")
+def _links(process: int) -> Path:
+    """A folder that this process deletes at its end, and no copy of it does."""
+    folder = tempfile.mkdtemp(prefix="sumo_env-", dir=temporary_folder())
+    atexit.register(lambda: os.getpid() == process and shutil.rmtree(folder, ignore_errors=True))
+    return Path(folder)
 
 
 def seconds(option: str, text: str) -> float:

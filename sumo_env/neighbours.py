@@ -14,7 +14,6 @@ from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.observation import Array, on_its_way
 from sumo_env.scene import (
     CLOSING,
-    FOE,
     MAX_SPEED,
     NOBODY,
     ON_ITS_WAY,
@@ -29,7 +28,7 @@ from sumo_env.tasks.base import EgoState
 MARGIN = 1.0  # [m] beside a lane, where a vehicle still counts (``Road.neighbour_vehicles``)
 LONGEST = 60.0  # [s] that a traffic light is seen to last
 # Of features that are not distances.
-SCALES = {"light": 2.0, SECONDS_LEFT: LONGEST, **dict.fromkeys((*CLOSING, FOE[1]), MAX_SPEED)}
+SCALES = {"light": 2.0, SECONDS_LEFT: LONGEST, **dict.fromkeys((*CLOSING, *ON_REQUEST[2:]), MAX_SPEED)}
 
 
 class LeadersFollowers:

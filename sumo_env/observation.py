@@ -227,7 +227,7 @@ def on_its_way(scene: Scene) -> dict[str, float]:
     distances = (*ends, light.distance, *gaps, place.foe.gap)
     *distances, foe_gap = (min(distance, PERCEPTION_DISTANCE) for distance in distances)
     values = (*distances[:3], float(light.state), *distances[3:], *closing)
-    asked_for = (light.seconds, foe_gap, place.foe.speed)
+    asked_for = (light.seconds, foe_gap, place.foe.speed, place.target_speed)
     return dict(zip((*ON_ITS_WAY, *ON_REQUEST), (*values, *asked_for), strict=True))
 
 

@@ -223,6 +223,7 @@ class RouteEgo:
             waiting=waiting,
             neighbours=(NOBODY,) * 6 if gone else self._neighbours(),
             foe=NOBODY if gone else foe(self._session, self._name),
+            target_speed=self.speed if self._target_speed is None else self._target_speed,
             fuel=self._fuel,
             electricity=self._electricity,
         )

@@ -10,6 +10,7 @@ from collections.abc import Collection
 from itertools import chain, repeat
 from math import inf
 from operator import itemgetter
+from typing import Any
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc

@@ -161,7 +161,12 @@ def temporary_folder() -> str:
 def _links(process: int) -> Path:
     """A folder that this process deletes at its end, and no copy of it does."""
     folder = tempfile.mkdtemp(prefix="sumo_env-", dir=temporary_folder())
-    atexit.register(lambda: os.getpid() == process and shutil.rmtree(folder, ignore_errors=True))
+
+    def delete() -> None:
+        if os.getpid() == process:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(delete)
     return Path(folder)
 
 

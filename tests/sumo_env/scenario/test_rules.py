@@ -179,7 +179,7 @@ def test_the_ego_sees_to_whom_it_has_to_give_way(tmp_path: Path, light: str) -> 
         length = env.sumo.lane.getLength("cb_0")
         vehicle.add("turns off", "off", departPos=f"{length - 20}", departSpeed="10")
         vehicle.add("comes", "straight", departPos=f"{length - 70}", departSpeed="10")
-        gaps = []
+        gaps: list[float] = []
         while env.scene.place.lane[0] == "ab:from" and len(gaps) < 15:
             gap, speed = env.step(SLOWER)[0][0]
             gaps.append(float(gap))

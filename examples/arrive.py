@@ -135,19 +135,19 @@ def drive(env, act, seeds, begin=lambda seed: None):
     return {**counts, "where": dict(where.most_common())} if where else counts
 
 
-def sb3_dqn(env, seed, steps, epsilon=0.05, gamma=0.98):
+def sb3_dqn(env, seed, steps, epsilon=0.05, norm_obs=True):
     """Train Stable-Baselines3's DQN."""
     from stable_baselines3 import DQN
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
     flat = gym.wrappers.FlattenObservation(env)
-    seen = VecNormalize(DummyVecEnv([lambda: flat]), norm_reward=False)
+    seen = VecNormalize(DummyVecEnv([lambda: flat]), norm_obs=norm_obs, norm_reward=False)
     model = DQN(
         "MlpPolicy",
         seen,
         seed=seed,
         learning_rate=lambda left: 5e-4 * left,
-        gamma=gamma,
+        gamma=0.98,
         buffer_size=50_000,
         learning_starts=1000,
         batch_size=64,
@@ -173,10 +173,10 @@ def own_dqn(env, seed, steps, **settings):
 LEARNERS = {"sb3-dqn": sb3_dqn, "dqn": own_dqn}
 STEPS = {"sb3-dqn": 50_000, "dqn": 30_000}  # of the environment
 # The grid takes more of them, and fewer random actions: in a queue at a light most of these end in a crash.
-# Its features have ranges, and some hardly change in the first random steps, so they are not standardised by these.
+# Its features have ranges, and some hardly change in the first random steps, so they are not standardised.
 MORE = {"grid": 20_000}
 SETTINGS = {
-    "grid/sb3-dqn": {"epsilon": 0.02},
+    "grid/sb3-dqn": {"epsilon": 0.02, "norm_obs": False},
     "grid/dqn": {"epsilon_final": 0.02, "network": "dueling", "standardise": False},
 }
 

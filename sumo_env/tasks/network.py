@@ -17,7 +17,7 @@ from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigE
 from sumo_env.networks import files
 from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import Road
-from sumo_env.scene import CLOSING, FOE, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST, Place
+from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST, Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.tasks.terms import TERMS, measures_energy, terms
@@ -386,7 +386,8 @@ def _ranges(limit: float) -> dict[str, list[float]]:
     sight = max(5.0 * limit, 50.0)
     ranges = {"x": [-sight, sight], "y": [-BESIDE, BESIDE]}
     ranges |= {name: [-2.0 * limit, 2.0 * limit] for name in ("vx", "vy")}
-    ranges |= {name: [0.0, sight] for name in (*LANE_ENDS, "light_distance", *GAPS, FOE[0])}
+    ranges |= {name: [0.0, sight] for name in (*LANE_ENDS, "light_distance", *GAPS)}
+    ranges["foe_gap"] = [0.0, 2.0 * sight]  # the ego needs time to cross
     ranges |= {name: [0.0, limit] for name in ON_REQUEST[2:]}
     return {**ranges, "light": [-1.0, 2.0], **{name: [-limit, limit] for name in CLOSING}}
 

@@ -172,8 +172,8 @@ def own_dqn(env, seed, steps, **settings):
 
 LEARNERS = {"sb3-dqn": sb3_dqn, "dqn": own_dqn}
 STEPS = {"sb3-dqn": 50_000, "dqn": 30_000, "grid": 100_000}  # of the environment
-# On the grid random actions are fewer: in a queue at a light most of these end in a crash. Its features have ranges, and
-# some hardly change in the first random steps, so they are not standardised.
+# On the grid random actions are fewer: in a queue at a light most of these end in a crash. Its features have ranges,
+# and some hardly change in the first random steps, so they are not standardised.
 SETTINGS = {
     "grid/sb3-dqn": {"epsilon": 0.02, "norm_obs": False},
     "grid/dqn": {"epsilon_final": 0.02, "network": "dueling", "standardise": False},

@@ -29,7 +29,6 @@ from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
-from sumo_env.config import MEASURED
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 ELSEWHERE = 200  # test episodes of a pair in each other traffic, at most
@@ -195,10 +194,10 @@ class Experiment:
             traffics = list(unseen_traffics(agent.task, self.backend))
             yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
         if self.traffics:
-            if MEASURED in self.traffics and self.backend != "sumo":
-                raise UserError(f"{self.backend} has no measured drivers: leave out --traffics {MEASURED}")
-            further = [traffic_named(name).name for name in dict.fromkeys(self.traffics)]
-            yield replace(agent, kind="test", test_on={**here, "traffics": further})
+            further = {name: traffic_named(name) for name in self.traffics}
+            if self.backend != "sumo" and any(traffic.is_of_sumo for traffic in further.values()):
+                raise UserError(f"--traffics {' '.join(further)} has drivers that {self.backend} has not")
+            yield replace(agent, kind="test", test_on={**here, "traffics": list(further)})
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
                 elsewhere = {

@@ -245,5 +245,6 @@ class TestStudy:
 
         monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
         page = report.write_report(home).read_text()
-        assert "Gain without price" in page and "Gain without price" in report.answer(home)
+        question = "keep the gain without the price?"
+        assert question in page and question in report.answer(home)
         assert "sumo-u-turn-6 is not complete" in page and "6, 9 and 12" in report.answer(home)

@@ -93,7 +93,10 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, interrupt)
     try:
-        status = main()
+        try:
+            status = main()
+        finally:
+            sys.stdout.flush()
     except (UserError, CheckpointError) as error:
         print(f"error: {error}", file=sys.stderr)
         status = USAGE
@@ -101,7 +104,7 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
         say()
         status = INTERRUPTED
     except BrokenPipeError:  # the reader of our output (head, less) has gone
-        sys.stderr.close()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     except OSError as error:
         if error.filename is None and error.errno != errno.ENOSPC:

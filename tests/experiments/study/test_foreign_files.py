@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -185,6 +187,24 @@ def test_what_cannot_be_written_is_said_in_a_line(error: OSError, capsys: pytest
     said = capsys.readouterr().err
     assert ended.value.code == 2 and said.startswith("error: ") and said.count("\n") == 1
     assert "no space left" in said or "cannot write to x.parquet: Permission denied" in said
+
+
+@pytest.mark.parametrize("ends", [int, sys.exit])  # at its end, or while it is parsed (--help)
+def test_a_reader_that_leaves_is_no_problem(
+    ends: Callable[[], Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As ``head -1`` does."""
+
+    def command() -> int:
+        print("words")
+        return int(ends())
+
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as out, pytest.raises(SystemExit) as ended:
+        monkeypatch.setattr(sys, "stdout", out)
+        run_command(command)
+    assert (ended.value.code, capsys.readouterr().err) == (1, "")
 
 
 def test_weights_and_values_are_numbers(tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     several = [given] if isinstance(given, str | Path) else list(given)
     found = tuple(Path(os.path.realpath(path)) for path in several)
     for path in found:
-        if not path.is_file():
+        if not os.path.isfile(path):  # also where the name is longer than any
             raise ConfigError(f"{name}: there is no file {path}")
     # a network is opened by the session, see `options.readable`; of the others there may be several
     return found if name.endswith(("network", "net-file")) else tuple(map(_plain_path, found))

@@ -186,7 +186,7 @@ def test_what_cannot_be_written_is_said_in_a_line(error: OSError, capsys: pytest
         run_command(command)
     said = capsys.readouterr().err
     assert ended.value.code == 2 and said.startswith("error: ") and said.count("\n") == 1
-    assert "no space left" in said or "cannot write to x.parquet: Permission denied" in said
+    assert "no space left" in said or "cannot read or write x.parquet: Permission denied" in said
 
 
 @pytest.mark.parametrize("ends", [int, sys.exit])  # at its end, or while it is parsed (--help)

@@ -30,6 +30,9 @@ from agents.policies import Policy
 # How a training has got to its end, for the record.
 UNINTERRUPTED, RESUMED, BEGUN_AGAIN = "uninterrupted", "resumed exactly", "begun again"
 
+# Metadata of a setting that is newer than published cells: it enters their names where it is not its default.
+NEWER = {"newer": True}
+
 MakeEnv = Callable[..., Any]  # make_env() -> gym.Env, make_env(n) -> gym.vector.VectorEnv
 T = TypeVar("T")
 
@@ -103,6 +106,16 @@ def settings_of(cls: type[T], given: Mapping[str, Any], whose: str) -> T:
     return cls(
         **{k: Path(v) if isinstance(known[k], Path) and isinstance(v, str) else v for k, v in given.items()}
     )
+
+
+def entries(settings: Any) -> dict[str, Any]:
+    """Settings as plain values by name; those that are `NEWER` only where they differ from their default."""
+    values = {field: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    return {
+        field.name: str(value) if isinstance(value, Path) else value
+        for field, value in values.items()
+        if field.metadata != NEWER or value != field.default
+    }
 
 
 def files_of(settings: Any) -> dict[str, str]:

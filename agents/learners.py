@@ -50,7 +50,7 @@ class DoubleDQN:
         space: Any = env.observation_space
         actions: Any = env.action_space
         network = network_class(settings.network)(space, int(actions.n))
-        return Greedy.load(path, Standardised(network, space))
+        return Greedy.load(path, Standardised(network, space), settings.by_hand)
 
 
 LEARNERS: dict[str, Learner] = {

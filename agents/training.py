@@ -166,7 +166,7 @@ def _resume(path: Path, settings: Mapping[str, Any], training: Training) -> None
     state = load_arrays(path)
     try:
         stored, wanted = json.loads(str(state["settings"])), json.loads(json.dumps(settings))
-        stored = dict(stored)
+        stored = {"by_hand": False, **dict(stored)}  # which checkpoints of earlier versions do not have
     except (KeyError, ValueError, TypeError):
         raise CheckpointError(
             f"{path} is no checkpoint of a training: delete it to train from the start."

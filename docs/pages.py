@@ -405,14 +405,11 @@ def with_noise_of_episodes(folder: str, setting: str, traffic: str) -> Number:
 # -- tables beside the studies -----------------------------------------------------------------------------------------
 
 
-def other_learners() -> Iterator[list[str]]:
-    """Lines of a table: traffic and learner, then by task crash rate/share standing/speed/return over its trainings."""
+def other_learners(column: str, digits: int) -> Iterator[list[str]]:
+    """Lines of a table: traffic and learner, then by task the mean of a column over its trainings."""
     stored = table("other-learners/trainings.parquet")
     trained = stored[~stored["learner"].isin([*CONSTANT, "idm", "careful"])]
-    measures = ["crashed", "stopped", "mean_speed", "return"]
-    means = trained.groupby(["traffic", "learner", "task"])[measures].mean()
-    words = means.apply(lambda m: "{:.2f}/{:.2f}/{:.1f}/{:.1f}".format(*m), axis=1)
-    return as_lines(words)
+    return as_lines(trained.groupby(["traffic", "learner", "task"])[column].mean(), digits)
 
 
 def other_learner(learner: str, task: str, traffic: str) -> float:
@@ -426,22 +423,21 @@ def planner_scenarios() -> list[int]:
     return sorted(set(table("copies/planners.parquet")["scenario"]))
 
 
-def planners() -> Iterator[list[str]]:
-    """Lines of a table: traffic and driver, then by task crash rate/return/progress in the planners' scenarios."""
+def planners(column: str, digits: int) -> Iterator[list[str]]:
+    """Lines of a table: traffic and driver, then by task the mean of a column in the planners' scenarios."""
     study = chosen(episodes("standard"), level=1, scenario=planner_scenarios())
     study = study.assign(policy=study["arm"].where(study["kind"] == "agent", study["policy"]))
     study = chosen(study, policy=("careful", "control", "treatment"))
     rows = pd.concat([table("copies/planners.parquet"), study], ignore_index=True)
     rows["progress"] = rows["distance"] / rows["task"].map(study.groupby("task")["seconds"].first())
-    means = rows.groupby(["traffic", "policy", "task"])[["crashed", "return", "progress"]].mean()
-    return as_lines(means.apply(lambda m: "{:.2f}/{:.1f}/{:.1f}".format(*m), axis=1))
+    return as_lines(rows.groupby(["traffic", "policy", "task"])[column].mean(), digits)
 
 
-def as_lines(words: pd.Series) -> Iterator[list[str]]:
-    """Lines of a table from a text for each traffic, name and task, the tasks in their order."""
-    frame = words.unstack("task")
+def as_lines(means: pd.Series, digits: int) -> Iterator[list[str]]:
+    """Lines of a table from a number for each traffic, name and task, the tasks in their order."""
+    frame = means.unstack("task")
     for row, values in frame[[task for task in TASKS if task in frame]].iterrows():
-        yield [", ".join(map(str, row)), *values]
+        yield [", ".join(map(str, row)), *(f"{value:.{digits}f}" for value in values)]
 
 
 def share(found: Count) -> str:

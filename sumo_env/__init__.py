@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 
 if TYPE_CHECKING:
-    from sumo_env.env import DrivingEnv as DrivingEnv
+    from sumo_env.check import check_task as check_task
+    from sumo_env.driving import DrivingEnv as DrivingEnv
     from sumo_env.env import SumoDrivingEnv as SumoDrivingEnv
     from sumo_env.tasks.base import Task as Task
 
@@ -69,13 +70,6 @@ def register(id: str, task: Any) -> None:
     )
 
 
-def check_task(task: Any, config: Any = None) -> None:
-    """Say what is wrong with a task of your own, see `sumo_env.check.check_task`."""
-    from sumo_env.check import check_task  # numpy and the tasks, which `import sumo_env` does not need
-
-    check_task(task, config)
-
-
 def parallel_env(env: Any, config: Any = None, **keywords: Any) -> Any:
     """Several learning cars as PettingZoo's ``ParallelEnv``, see `sumo_env.parallel.parallel_env`."""
     from sumo_env.parallel import parallel_env  # PettingZoo, of the extra [multi-agent]
@@ -83,18 +77,19 @@ def parallel_env(env: Any, config: Any = None, **keywords: Any) -> Any:
     return parallel_env(env, config, **keywords)
 
 
-# Classes that are imported when they are asked for, so that ``import sumo_env`` takes no time.
-_CLASSES = {"DrivingEnv": "sumo_env.env", "SumoDrivingEnv": "sumo_env.env", "Task": "sumo_env.tasks.base"}
+# What is imported when it is asked for, so that ``import sumo_env`` takes no time.
+_LATER = {"DrivingEnv": "sumo_env.driving", "SumoDrivingEnv": "sumo_env.env", "Task": "sumo_env.tasks.base",
+          "check_task": "sumo_env.check"}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name in _CLASSES:
-        return getattr(import_module(_CLASSES[name]), name)
+    if name in _LATER:
+        return getattr(import_module(_LATER[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *_CLASSES]
+    return [*globals(), *_LATER]
 
 
 for _id in (*IDS, SUMO_FAST_ID):

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise, product
-from math import isfinite, pi
+from math import inf, isfinite, pi
 from operator import index
 from typing import Any, ClassVar, NamedTuple
 
@@ -59,16 +59,11 @@ class Moment(NamedTuple):
 
 # -- meta-actions --------------------------------------------------------------------------------------------------
 
-LONGITUDINAL_AND_LATERAL = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
-LONGITUDINAL = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
-LATERAL = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT"}
-
-
 # by whether they are longitudinal, and lateral
 NAMES = {
-    (True, True): LONGITUDINAL_AND_LATERAL,
-    (True, False): LONGITUDINAL,
-    (False, True): LATERAL,
+    (True, True): {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"},
+    (True, False): {0: "SLOWER", 1: "IDLE", 2: "FASTER"},
+    (False, True): {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT"},
     (False, False): {0: "IDLE"},
 }
 
@@ -324,9 +319,11 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
     agent = bool(axes[0]) and not lengthwise, bool(axes[1]) and not sideways
     shared: dict[str, Any] = {"by_sumo": (lengthwise, sideways)}
     if kind == "DiscreteMetaAction":
-        return DiscreteMetaAction(NAMES[agent], _rising(action, target_speeds), **shared)
+        ladder = _rising("'target_speeds' [m/s]", action.get("target_speeds") or target_speeds)
+        return DiscreteMetaAction(NAMES[agent], ladder, **shared)
     given = shared | {name: bool(action[name]) for name in ("dynamical", "clip") if name in action}
-    given |= {name: _range(name, action[name]) for name in action if name.endswith("_range") and action[name]}
+    ranges = [name for name in action if name.endswith("_range") and action[name]]
+    given |= {name: _rising(f"action {name!r}", action[name], most=2) for name in ranges}
     if not steers:
         if "steering_range" in given or given.get("dynamical"):
             raise ConfigError(
@@ -345,25 +342,15 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
     return DiscreteAction(**{**given, "actions_per_axis": int(count)})
 
 
-def _rising(action: Mapping[str, Any], default: tuple[float, ...]) -> tuple[float, ...]:
-    """The target speeds of an entry [m/s]."""
-    ladder = action.get("target_speeds") or default
+def _rising(what: str, given: Any, most: float = inf) -> tuple[float, ...]:
+    """Two or more finite numbers of an entry, the larger one after the smaller."""
     try:
-        speeds = tuple(float(speed) for speed in ladder)
+        numbers = tuple(float(number) for number in given)
     except (TypeError, ValueError):
-        speeds = ()
-    rising = all(low < high for low, high in pairwise(speeds))  # which is false for NaN
-    if len(speeds) < 2 or not rising or not isfinite(speeds[-1] - speeds[0]):
-        raise ConfigError(f"'target_speeds' must be at least two rising speeds [m/s], not {ladder!r}")
-    return speeds
-
-
-def _range(name: str, given: Any) -> tuple[float, float]:
-    """A range of an entry."""
-    try:
-        low, high = (float(number) for number in given)
-    except (TypeError, ValueError):
-        low = high = np.nan
-    if not (np.isfinite([low, high]).all() and low < high):
-        raise ConfigError(f"action {name!r} must be two rising numbers, not {given!r}")
-    return low, high
+        numbers = ()
+    rises = all(low < high for low, high in pairwise(numbers))  # which is false for NaN
+    if not 2 <= len(numbers) <= most or not rises or not isfinite(numbers[-1] - numbers[0]):
+        raise ConfigError(
+            f"{what} must be {'two' if most == 2 else 'at least two'} rising numbers, not {given!r}"
+        )
+    return numbers

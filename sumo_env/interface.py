@@ -29,16 +29,6 @@ class Interface(NamedTuple):
     action_type: ActionType  # makes the commands
     observation_type: ObservationType  # makes the observations
 
-    @property
-    def actions(self) -> dict[int, str]:
-        """Meta-actions by index."""
-        return self.action_type.names
-
-    @property
-    def target_speeds(self) -> tuple[float, ...]:
-        """That the ego can be commanded, rising [m/s]."""
-        return self.action_type.target_speeds
-
 
 def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     """The interface of a task under a resolved configuration; steers: whether its simulator can steer the ego.

@@ -5,27 +5,40 @@ from __future__ import annotations
 import copy
 import shlex
 import tempfile
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
 import gymnasium as gym
 
 from sumo_env import export
+from sumo_env.config import ConfigError
 from sumo_env.networks import files
 from sumo_env.networks.roads import Road
 from sumo_env.scene import Scene
 from sumo_env.simulator import Commands, Simulator
-from sumo_env.sumo.options import OUTPUT_DIR
+from sumo_env.sumo.options import (
+    OUTPUT_DIR,
+    REFUSED,
+    REFUSED_FOR_FILES,
+    check_effect,
+    check_live,
+    check_options,
+)
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo
 from sumo_env.sumo.settings import file_settings
+from sumo_env.tasks.base import Task
+from sumo_env.tasks.network import NetworkTask
+from sumo_env.traffic.foreign import check_outputs
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 from sumo_env.traffic.sumo_files import is_output
 
 
 class OwnSumo:
-    """The part of `DrivingEnv` that hands out its SUMO."""
+    """The part of `DrivingEnv` that starts its SUMO and hands it out."""
 
+    task: Task
     scene: Scene
     scenario: Scenario | None
     _given: Simulator | None
@@ -35,6 +48,38 @@ class OwnSumo:
     _road: Road
     _route: tuple[str, ...]
     _spec_of: dict[str, VehicleSpec]
+
+    def _prepare_sumo(
+        self,
+        simulator: Simulator | None,
+        options: Sequence[str],
+        live: str | None,
+        output_dir: str | Path | None,
+    ) -> None:
+        """Take over what a user says about SUMO, see `DrivingEnv`."""
+        if simulator is not None and (options or live or output_dir):
+            raise ValueError(
+                "sumo_options, live and output_dir are for SUMO, which this environment starts itself: leave out "
+                "`simulator`"
+            )
+        self._given = self._simulator = simulator
+        self._live = check_live(live)
+        if not isinstance(self.task, NetworkTask):
+            self._options = check_options(options, REFUSED)
+            check_effect(self._options)
+            if output_dir is not None:
+                raise ConfigError(
+                    "output_dir is for networks of your own; sumo_options name outputs of this task"
+                )
+            return
+        self._options = check_options(options, REFUSED_FOR_FILES)
+        if output_dir is not None:
+            check_outputs(self.task.outputs)
+            outputs = [f"--{name}={value}" for name, value in self.task.outputs]
+            self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
+        elif self.task.outputs:
+            names = ", ".join(name for name, _ in self.task.outputs)
+            gym.logger.warn(f"{self.task.net}: its outputs are off ({names}); output_dir=... writes them")
 
     def export(self, folder: str | Path) -> list[Path]:
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.

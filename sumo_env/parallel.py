@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 from sumo_env.config import Config, ConfigError
-from sumo_env.env import VARIED, DrivingEnv
+from sumo_env.driving import VARIED, DrivingEnv
 from sumo_env.networks import files
 from sumo_env.several import REPLICA, Cars, Seen, asked
 from sumo_env.tasks import TASKS
@@ -21,6 +23,7 @@ from sumo_env.traffic.scenario import Origin, Scenario
 
 try:
     from pettingzoo import ParallelEnv
+    from pettingzoo.utils import BaseParallelWrapper
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
         "several learning cars need PettingZoo, which is not installed: "
@@ -87,9 +90,8 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
 
     metadata: dict[str, Any] = {**DrivingEnv.metadata, "name": "sumo_env", "is_parallelizable": True}  # noqa: RUF012
 
-    def __init__(self, cars: Cars, render_mode: str | None = None, remove_crashed: bool = False) -> None:
-        """remove_crashed: whether crashed cars leave the road."""
-        self._cars, self.render_mode, self._removes = cars, render_mode, remove_crashed
+    def __init__(self, cars: Cars, render_mode: str | None = None) -> None:
+        self._cars, self.render_mode = cars, render_mode
         self.possible_agents = [f"car_{number}" for number in range(len(cars.envs))]
         self.cars = dict(zip(self.possible_agents, cars.envs, strict=True))
         self.agents: list[str] = []
@@ -142,23 +144,18 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
             raise ValueError(f"actions must be those of {self.agents}, not of {sorted(actions)}")
         if not self.agents:
             return {}, {}, {}, {}, {}
-        numbers = {agent: self.possible_agents.index(agent) for agent in self.agents}
-        results, come = self._cars.step({numbers[agent]: actions[agent] for agent in self.agents})
-        found = {agent: results[number] for agent, number in numbers.items()}
-        observations = {agent: result[0] for agent, result in found.items()}
-        infos = {agent: result[4] for agent, result in found.items()}
-        truncations = {agent: any(result[3] for result in found.values()) for agent in found}
-        rewards = {agent: result[1] for agent, result in found.items()}
-        ends = {agent: result[2] for agent, result in found.items()}
+        acting = {self.possible_agents.index(agent): actions[agent] for agent in self.agents}
+        results, come = self._cars.step(acting)
+        parts: list[dict[str, Any]] = [
+            {self.possible_agents[number]: result[part] for number, result in results.items()}
+            for part in range(5)
+        ]
+        observations, rewards, ends, truncations, infos = parts
         if self._follows_first:
-            _, reward, end, _, _ = results[0]
-            rewards = dict.fromkeys(found, reward)
-            ends = {agent: end or self.cars[agent].ego_state.crashed for agent in found}
-        for agent, number in numbers.items():
-            if self._removes and self.cars[agent].ego_state.crashed:
-                self._cars.remove(number)
+            rewards = dict.fromkeys(rewards, results[0][1])
+            ends = {agent: results[0][2] or self.cars[agent].ego_state.crashed for agent in ends}
         first, informed = self._enter(
-            come, [agent for agent in found if not (ends[agent] or truncations[agent])]
+            come, [agent for agent in ends if not (ends[agent] or truncations[agent])]
         )
         for agent in first:
             rewards[agent], ends[agent], truncations[agent] = 0.0, False, False
@@ -171,6 +168,45 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
     def close(self) -> None:
         """Close the simulator and the window."""
         self._cars.first.close()
+
+
+class AllAgents(BaseParallelWrapper[str, Any, Any]):
+    """All possible agents act from `reset` to the end of the episode, as SuperSuit wants it.
+
+    Who is not there yet, or no longer, sees zeros and is paid 0; its actions have no effect. All episodes end together:
+    terminated, or truncated if time was up.
+    """
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Start an episode."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self.agents = list(self.possible_agents)
+        return self._of_all(observations), {agent: infos.get(agent, {}) for agent in self.agents}
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Drive one policy step."""
+        observations, rewards, _, truncations, infos = self.env.step(
+            {agent: actions[agent] for agent in self.env.agents}
+        )
+        everybody, is_over, is_late = self.agents, not self.env.agents, any(truncations.values())
+        self.agents = [] if is_over else everybody
+        return (
+            self._of_all(observations),
+            {agent: rewards.get(agent, 0.0) for agent in everybody},
+            dict.fromkeys(everybody, is_over and not is_late),
+            dict.fromkeys(everybody, is_over and is_late),
+            {agent: infos.get(agent, {}) for agent in everybody},
+        )
+
+    def _of_all(self, seen: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            agent: seen[agent] if agent in seen else np.zeros_like(self.observation_space(agent).low)
+            for agent in self.possible_agents
+        }
 
 
 def parallel_env(
@@ -218,8 +254,5 @@ def parallel_env(
         raise ConfigError("remove_crashed: crashed cars stay on the road on highway-env's physics")
     given = asked(config, keywords.pop("cars", 1))
 
-    def one(config: Config, render_mode: str | None) -> DrivingEnv:
-        made: DrivingEnv = make(env, config, render_mode, **keywords)
-        return made
-
-    return ParallelDrivingEnv(Cars(one, given.config, given.cars, render_mode), render_mode, remove_crashed)
+    cars = Cars(partial(make, env, **keywords), given, render_mode, remove_crashed)
+    return ParallelDrivingEnv(cars, render_mode)

@@ -34,8 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             total, over = total + reward, terminated or truncated
         if env.render_mode is None:  # the window was closed
             break
-        how = "crashed" if info["crashed"] else "arrived" if info["arrived"] else "no crash"
-        print(f"seed {seed}: {how} after {env.scene.time:.1f} s, return {total:.2f}")
+        print(f"seed {seed}: {info['ending']} after {env.scene.time:.1f} s, return {total:.2f}")
         if seed + 1 == given.seed + given.episodes:
             break
     env.close()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -15,8 +16,9 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from sumo_env.config import Config, ConfigError
-from sumo_env.env import DrivingEnv
+from sumo_env.driving import DrivingEnv
 from sumo_env.scene import Scene
+from sumo_env.simulator import Commands
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
 
@@ -67,17 +69,19 @@ class Cars:
         steps: policy steps of this episode.
     """
 
-    def __init__(self, make: Make, config: Config, count: int, render_mode: str | None = None) -> None:
-        """make: makes the environment of a car."""
-        self.envs = [make(config, None if number else render_mode) for number in range(count)]
-        self.first = self.envs[0]
-        self.first.cars = count
+    def __init__(
+        self, make: Make, given: Asked, render_mode: str | None = None, removes_crashed: bool = False
+    ) -> None:
+        """make: makes the environment of a car; removes_crashed: whether crashed cars leave the road."""
+        self.envs = [make(given.config, None if number else render_mode) for number in range(given.cars)]
+        self.first, self._removes_crashed = self.envs[0], removes_crashed
+        self.first.cars = given.cars
         self.numbers: dict[str, int] = {}
         self.steps = 0
         self._scenario: Scenario
         self._scene: Scene  # all cars
         self._here: set[str] = set()  # cars that have come
-        self._leaving: list[str] = []
+        self._leaving: list[str] = []  # cars that are taken off the road in the next step
 
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> dict[int, Seen]:
         """Start an episode; returns what the cars see that are there, by their numbers."""
@@ -103,24 +107,23 @@ class Cars:
             raise gym.error.ResetNeeded("call reset() before step()")
         ids = {number: name for name, number in self.numbers.items()}
         commands = {number: self.envs[number]._command(action) for number, action in actions.items()}
-        leaving, self._leaving = dict.fromkeys(self._leaving), []
+        by_id: Commands = {ids[number]: command for number, command in commands.items()}
         self.first.scene = self._scene
-        step = self.first._drive({ids[number]: command for number, command in commands.items()} | leaving)
+        step = self.first._drive({**by_id, **dict.fromkeys(self._leaving)})
         self.steps, self._scene = self.steps + 1, step.scene
-        results = {}
+        results, self._leaving = {}, []
         for number, command in commands.items():
             name, env = ids[number], self.envs[number]
             self._let_see(env, name)
+            env._is_closed = self.first._is_closed
             results[number] = env._after(actions[number], command, step.scene.seen_by(name), step.egos[name])
+            if self._removes_crashed and env.ego_state.crashed:
+                self._leaving.append(name)
         if 0 not in actions:
             self.first.scene = step.scene
         come = self._newcomers(step.scene)
         self.first._follow_up()
         return results, come
-
-    def remove(self, number: int) -> None:
-        """Take a car off the road at the beginning of the next step."""
-        self._leaving += [name for name, known in self.numbers.items() if known == number]
 
     def _newcomers(self, scene: Scene) -> dict[int, Seen]:
         """What cars see that have come."""
@@ -173,7 +176,7 @@ class TupleEnv(gym.Env[Any, Any]):
                 "several learning cars need the action type 'MultiAgentAction' with an 'action_config', whose actions "
                 "are tuples; sumo_env.parallel_env makes PettingZoo's environments (docs/several-cars.md)"
             )
-        self.cars = Cars(make, given.config, given.cars, render_mode)
+        self.cars = Cars(make, given, render_mode)
         self.render_mode, self._sees_all, self._per_car = render_mode, given.shared["observation"], per_car
         self._set_spaces()
 
@@ -273,7 +276,7 @@ def make(
     *,
     cars: int = 1,
     per_car: bool = False,
-    on: str = "sumo_env.env:DrivingEnv",
+    on: str = "sumo_env.driving:DrivingEnv",
     **keywords: Any,
 ) -> DrivingEnv | TupleEnv:
     """What ``gymnasium.make`` makes of an id: the environment of one car, or of several by the configuration.
@@ -285,21 +288,12 @@ def make(
         on: class of the environment of a car.
         keywords: of that environment.
     """
-    given, make_one = asked(config, cars), resolve_name(on)
+    make_one: Callable[..., DrivingEnv] = resolve_name(on)
+    given = asked(config, cars)
     if given.cars == 1 and not any(given.shared.values()):
-        alone: DrivingEnv = make_one(task, config, render_mode, **keywords)
-        return alone
-
-    def one(config: Config, render_mode: str | None) -> DrivingEnv:
-        made: DrivingEnv = make_one(task, config, render_mode, **keywords)
-        return made
-
-    return TupleEnv(one, given, render_mode, per_car)
+        return make_one(task, config, render_mode, **keywords)
+    return TupleEnv(partial(make_one, task, **keywords), given, render_mode, per_car)
 
 
-def make_replica(*arguments: Any, **keywords: Any) -> DrivingEnv | TupleEnv:
-    """Likewise on highway-env's physics."""
-    return make(*arguments, on=REPLICA, **keywords)
-
-
+make_replica: Any = partial(make, on=REPLICA)  # likewise on highway-env's physics
 make.metadata = make_replica.metadata = DrivingEnv.metadata  # type: ignore[attr-defined]

@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from sumo_env.config import refuse_misplaced
-from sumo_env.env import DrivingEnv
+from sumo_env.driving import DrivingEnv
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks.base import Task
 

@@ -19,7 +19,7 @@ from sumo_env.actions import ActionType as Kind
 from sumo_env.hints import missing, page
 from sumo_env.networks.lanes import Lane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.observation import destination_direction
+from sumo_env.observation import FEATURES, destination_direction
 from sumo_env.scene import Floats, Scene
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -177,27 +177,13 @@ class Vehicle(_View):
         self, origin_vehicle: Vehicle | None = None, observe_intentions: bool = True
     ) -> dict[str, float]:
         """The features of `Kinematics` [m, m/s, rad]; places and velocities relative to another vehicle, if given."""
-        names = (
-            "x",
-            "y",
-            "vx",
-            "vy",
-            "heading",
-            "cos_h",
-            "sin_h",
-            "cos_d",
-            "sin_d",
-            "long_off",
-            "lat_off",
-            "ang_off",
-        )
         goal = self.destination_direction if observe_intentions else np.zeros(2)
         own = (self.velocity, [self.heading], self.direction, goal, self.lane_offset)
         values = np.concatenate((self.position, *own)).tolist()
         if origin_vehicle is not None:
             origin = np.concatenate((origin_vehicle.position, origin_vehicle.velocity))
             values[:4] = (np.array(values[:4]) - origin).tolist()
-        return {"presence": 1, **dict(zip(names, values, strict=True))}
+        return {"presence": 1, **dict(zip(FEATURES[1:], values, strict=True))}
 
 
 class Ego(Vehicle):

@@ -90,11 +90,12 @@ class ScenarioEnv(AbstractEnv):
         variant = one_of("'variant'", chosen["variant"], VARIANTS)
         one_of("risk_law", chosen["risk_law"], LAWS)
         self._offered = interface(self.task, chosen, steers=True)
-        if not self._offered.actions:
+        if not self._offered.action_type.names:
             raise ConfigError(
                 f"action type {chosen['action']['type']!r}: here it can only be 'DiscreteMetaAction'"
             )
-        self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
+        kind = self._offered.action_type
+        self.actions, self.target_speeds = kind.names, kind.target_speeds
         # target speeds that are not given are the task's, as in `sumo_env`; in highway-env it would be the highway's
         chosen["action"] = {**chosen["action"], "target_speeds": list(self.target_speeds)}
         connected = self.joins and variant != "v0"

@@ -26,6 +26,7 @@ from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import of_results
 from experiments.study.results.store import Results, Store
 from experiments.support.files import canonical_json
+from sumo_env.hints import DOCUMENTATION
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
@@ -54,7 +55,22 @@ def page(
         "commands": [sweep["command"] for sweep in Store(results.directory).sweeps()],
         "gate_texts": GATES,
         "seconds": duration(analysis.provenance["seconds"]),
+        "computed": computed(results),
+        "address": DOCUMENTATION,
         **{name: getattr(analysis, name) for name in ("plan", "plan_hash", "provenance", "negative_control")},
+    }
+
+
+def computed(results: Results) -> dict[str, Any]:
+    """When the newest cell was finished, with which versions of the package, and at which commits."""
+    cells = results.cells.values()
+    finished = {str(cell.get("timing", {}).get("finished", "")) for cell in cells}
+    versions = {str(cell["versions"].get("sumo-risky-driving", "")) for cell in cells}
+    commits = {str((cell.get("provenance") or {}).get("git") or "")[:7] for cell in cells}
+    return {
+        "date": max(finished, default="")[:10],
+        "versions": sorted(versions - {""}),
+        "commits": sorted(commits - {""}),
     }
 
 

@@ -31,9 +31,9 @@ from sumo_env.tasks import get_task
 
 FILE, SCHEMA = "showcase.json", 1
 RULE = (
-    "Of each task the lightest traffic, and there the agents of the lowest training seed in each arm. Of the test "
-    "scenarios at most three in which the control agent alone crashes, three in which the treated agent alone does, "
-    "and one in which both do; risky traffic first, then the crash with the highest closing speed."
+    "The films show the lightest traffic of each task and the first agent of each arm. A fixed rule chooses the "
+    "scenarios: at most three in which only the control agent crashes, three in which only the treated agent crashes, "
+    "and one in which both crash; risky traffic comes first, then the crash with the highest closing speed."
 )
 # Scenarios that are shown by (control crashes, treated agent crashes): kind, and how many at most.
 KINDS = {(True, False): ("control", 3), (False, True): ("treatment", 3), (True, True): ("both", 1)}

@@ -24,6 +24,7 @@ MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # where there is no number
 BACKENDS = {"sumo": "SUMO", "replica": "highway-env's physics (replica)", "highway-env": "highway-env"}
 TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}
+ARM_NAMES = {"treatment": "treated"}  # as the pages call the agents of an arm
 UNITS = {"mean_speed": " m/s", "crash_free_time": " s"}
 
 
@@ -133,6 +134,32 @@ def first_page(analysis: Analysis, backend: str, arm: str = "treatment") -> pd.D
         term=list(TRAFFICS),
     )
     return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "all tasks alike")), ["task"], rates)
+
+
+def careful(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """The careful driver of fixed rules against the agents of both arms, in both traffics."""
+    rows = chosen(
+        pd.concat([main(analysis.means, backend, arm, "careful") for arm in ARMS]),
+        scope=ALL_TASKS,
+        outcome=("crashed", "mean_speed"),
+        term=list(TRAFFICS),
+    )
+    return wide(rows.assign(agents=rows["arm"].replace(ARM_NAMES)), ["agents"], rates)
+
+
+def price(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """What mixed training loses of the gain, and what it costs, by task; upper limits are those of the plan."""
+    rows = chosen(analysis.price, backend=backend)
+
+    def cells(row: Mapping[str, Any]) -> dict[str, str]:
+        against = ARM_NAMES.get(row["against"], row["against"])
+        found, most, allowed = (points(row[name], "crashed") for name in ("estimate", "high", "margin"))
+        return {
+            f"{row['term']} traffic: mixed − {against} [points]": found,
+            f"at most (allowed: below {allowed})": most,
+        }
+
+    return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "all tasks alike")), ["task"], cells)
 
 
 def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
@@ -245,6 +272,8 @@ def frontier(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulator, by the templates' names
     "tasks": first_page,
+    "careful": careful,
+    "price": price,
     "crashes": partial(by_setting, outcome="crashed"),
     "returns": partial(by_setting, outcome="return"),
     "further": further,

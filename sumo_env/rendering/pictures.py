@@ -1,8 +1,8 @@
 """Pictures of a scene, drawn with Pillow: no display, no window, the same pixels on every machine.
 
-The camera follows the ego as highway-env's does. The colours are those of the report's films: the ego is blue, other
-cars are white, crashed ones red, and a car is yellow with a ring while a risk event acts on it, whose kind is written
-beside it. In the corner are the time, the ego's speed and its last meta-action.
+The camera follows the ego as highway-env's does. The colours are those of the report's films: the ego is blue, further
+learning cars are light blue, other cars are white, crashed ones red, and a car is yellow with a ring while a risk event
+acts on it, whose kind is written beside it. In the corner are the time, the ego's speed and its last meta-action.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Renderer:
                 if scene.ids[row] in scene.in_event:
                     _draw_ring(pen, x, y, scale)
                     labels.append((x, y - RING * scale, (kinds or {}).get(scene.ids[row], "")))
-                if row == 0 and scene.crashed[0]:
+                if row < scene.cars and scene.crashed[row]:
                     _draw_ring(pen, x, y, scale, CRASHED)
         picture = canvas.reduce(SUPERSAMPLING)
         font = _font(9 if height < 100 else min(12 + height // 50, 20))
@@ -180,9 +180,9 @@ def _draw_ring(pen: ImageDraw.ImageDraw, x: float, y: float, scale: float, colou
 
 
 def _colour(scene: Scene, row: int) -> Colour:
-    """The colour of a car; a crashed ego keeps its own inside a red ring."""
-    if row == 0:
-        return EGO
+    """The colour of a car; a crashed learning car keeps its own inside a red ring."""
+    if row < scene.cars:
+        return _blend(EGO, OTHER) if row else EGO
     if scene.crashed[row]:
         return CRASHED
     return IN_EVENT if scene.ids[row] in scene.in_event else OTHER

@@ -10,7 +10,7 @@ from typing import Any
 
 from sumo_env.as_highway_env import class_or_instance
 from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_misplaced
-from sumo_env.env import VARIED, DrivingEnv, Observation
+from sumo_env.driving import VARIED, DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import OFFSETS, Kinematics
 from sumo_env.occupancy import OccupancyGrid
@@ -99,6 +99,10 @@ class ReplicaEnv(DrivingEnv):
         version: int = 0,
         **misplaced: Any,
     ) -> None:
+        if of_sumo := misplaced.keys() & {"live", "sumo_options", "output_dir"}:
+            raise ConfigError(
+                f"{', '.join(sorted(of_sumo))}: there is no SUMO on the replica; sumo/* has one"
+            )
         refuse_misplaced(misplaced)
         if version and (task, version) not in VERSIONS:
             known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)

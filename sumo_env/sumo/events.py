@@ -7,6 +7,7 @@ speeds, where braking keeps SUMO's car following and a surge switches it off. Af
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from sumo_env.networks.mapping import Network
@@ -16,11 +17,12 @@ from sumo_env.sumo.session import (
     COMMANDED_LANE_CHANGES,
     HARD_BRAKING,
     NO_RIGHT_OF_WAY,
+    NO_RULES,
     OWN_LANE_CHANGES,
     REGULAR,
     Session,
 )
-from sumo_env.traffic.drivers import Calibration
+from sumo_env.traffic.drivers import Calibration, Deviation
 from sumo_env.traffic.risk import SWERVE_TIME, RiskEvent, free_way, has_room
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
@@ -37,6 +39,27 @@ def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
         changes = spec.changes_lanes and calibration.lane_changes
         lane_change_mode = OWN_LANE_CHANGES if changes else COMMANDED_LANE_CHANGES
     return speed_mode, lane_change_mode
+
+
+def deviate(session: Session, name: str, deviation: Deviation) -> None:
+    """Multiply the parameters of a vehicle's own type by the factors of a risky driver."""
+    for key, factor in (
+        ("Accel", deviation.accel),
+        ("EmergencyDecel", deviation.emergency_decel),
+        ("ApparentDecel", deviation.decel),
+        ("Decel", deviation.decel),
+        ("Tau", deviation.tau),
+        ("MinGap", deviation.min_gap),
+    ):
+        if factor != 1.0:  # each setter copies the vehicle's type
+            session.ask(f"set{key}", name, factor * session.ask(f"get{key}", name))
+    for key, factor in (("lcAssertive", deviation.assertive), ("lcSpeedGain", deviation.speed_gain)):
+        parameter = f"laneChangeModel.{key}"
+        with suppress(ValueError, *session.errors):  # there are models of lane changes without it
+            present = float(session.ask("getParameter", name, parameter))
+            session.ask("setParameter", name, parameter, f"{factor * present:.6g}")
+    if not deviation.gives_way:
+        session.set_modes(name, NO_RULES)
 
 
 @dataclass

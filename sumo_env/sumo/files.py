@@ -15,8 +15,7 @@ import numpy as np
 
 from sumo_env.scene import NO_LIGHT, Scene
 from sumo_env.simulator import Commands, SimulatorError, Step
-from sumo_env.sumo.car import Car
-from sumo_env.sumo.events import Events
+from sumo_env.sumo.events import deviate
 from sumo_env.sumo.options import OUTPUT_DIR
 from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR
@@ -43,16 +42,11 @@ class FileSimulator(SumoSimulator):
     def _begin(self, scenario: Scenario) -> Scene:
         traffic = scenario.traffic
         assert traffic is not None
-        self._scenario, self._traffic, self._name = scenario, traffic, scenario.ego.id
-        self._network = scenario.network
-        self._modes, self._crashed = {}, {}
-        self._cars: dict[str, Car[RouteEgo]] = {}  # type: ignore[assignment]
+        self._prepare(scenario)
+        self._traffic, self._name = traffic, scenario.ego.id
         self._came: list[str] = []  # learning cars that have departed
         self._models = dict(traffic.models)
-        self._dt = 1.0 / scenario.simulation_frequency
-        self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._session.load(file_settings(scenario, self._options, self._episode_folder()))
-        self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
         self._time = -inf  # no episode yet
         self._insert_ego(scenario, traffic)
         self._time = 0.0
@@ -66,8 +60,7 @@ class FileSimulator(SumoSimulator):
         energy, lights = self._traffic.measures_energy, self._scenario.obeys_lights
         for name in self._came:
             if name in self._modes and name not in self._cars:
-                ego = RouteEgo(self._session, self._network, name, lights, energy)
-                self._cars[name] = Car(self._session, name, ego, self._network.meeting)
+                self._take(name, RouteEgo(self._session, self._network, name, lights, energy))
 
     def _episode_folder(self) -> Path:
         """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted with the simulator."""
@@ -206,7 +199,7 @@ class FileSimulator(SumoSimulator):
             return
         model = self._models.get(self._session.type_of(name), "")
         drawn = Deviation.draw(self._traffic.ranges, self._scenario.risk, self._scenario.seed, name)
-        self._session.deviate(name, drawn.of_model(model))
+        deviate(self._session, name, drawn.of_model(model))
         if self._time >= 0.0:
             self._plan(name, self._time)
 

@@ -16,6 +16,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+from sumo_env.simulator import SimulatorError
+
 INHERITS = os.name == "posix"  # whether a process can be given an open socket when it is started
 # Whether a process that has loaded SUMO can be forked. macOS has fork, but libraries of the system may fail after it.
 FORKS = sys.platform.startswith("linux")
@@ -61,6 +63,25 @@ def start(
     ours, theirs = socket.socketpair()
     theirs.close()
     return child, ours
+
+
+def interpreter() -> str:
+    """A program that runs Python; where Python is embedded, ``multiprocessing.set_executable`` chooses it.
+
+    Raises:
+        SimulatorError: there is none.
+    """
+    from multiprocessing.spawn import get_executable
+
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    chosen, usual = os.fsdecode(get_executable() or ""), os.path.join(sys.exec_prefix, "bin", version)
+    for program in (chosen, sys.executable or "", usual):
+        if os.access(program, os.X_OK):
+            return program
+    raise SimulatorError(
+        f"a further environment needs a Python of its own, and there is none at {chosen or usual!r}: call "
+        f"multiprocessing.set_executable with the path of {version}"
+    )
 
 
 def _knows(other: socket.socket, key: bytes) -> bool:

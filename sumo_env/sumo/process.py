@@ -307,7 +307,7 @@ class _Worker:
         # The worker imports what this process would import. PYTHONPATH cannot have a colon in a name.
         path = [entry or os.getcwd() for entry in sys.path if isinstance(entry, str)]  # Python skips others
         begin = f"import sys; sys.path[:] = {path!r}; from sumo_env.sumo.worker import main; main()"
-        program = [_interpreter(), "-c", begin]
+        program = [link.interpreter(), "-c", begin]
         child, ours = link.start(program, [simulator, *options], {**os.environ, **SINGLE_THREAD})
         return cls(child.pid, ours, child)
 
@@ -384,25 +384,6 @@ def _signal(number: int) -> str:
     with suppress(ValueError):
         return signal.Signals(number).name
     return f"signal {number}"
-
-
-def _interpreter() -> str:
-    """A program that runs Python; where Python is embedded, ``multiprocessing.set_executable`` chooses it.
-
-    Raises:
-        SimulatorError: there is none.
-    """
-    from multiprocessing.spawn import get_executable
-
-    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
-    chosen, usual = os.fsdecode(get_executable() or ""), os.path.join(sys.exec_prefix, "bin", version)
-    for program in (chosen, sys.executable or "", usual):
-        if os.access(program, os.X_OK):
-            return program
-    raise SimulatorError(
-        f"a further environment needs a Python of its own, and there is none at {chosen or usual!r}: call "
-        f"multiprocessing.set_executable with the path of {version}"
-    )
 
 
 _workers: weakref.WeakSet[_Worker] = weakref.WeakSet()

@@ -8,16 +8,8 @@ from typing import Any
 
 # Functions that would end the episode behind the environment's back.
 REFUSED = {
-    "load",
-    "start",
-    "close",
-    "simulationStep",
-    "step",
-    "executeMove",
-    "loadState",
-    "init",
-    "setOrder",
-    "switch",
+    *("load", "start", "close", "simulationStep", "step"),
+    *("executeMove", "loadState", "init", "setOrder", "switch"),
 }
 
 

@@ -21,7 +21,6 @@ from sumo_env.sumo.engine import LIBSUMO, Engine
 from sumo_env.sumo.options import readable
 from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.settings import Settings
-from sumo_env.traffic.drivers import Deviation
 
 # Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
 ALL_CHECKS_OFF = 32  # drive at the commanded speed, whatever is ahead
@@ -39,7 +38,7 @@ LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
 CENTRED = 0.05  # [m] from the middle of a lane
-EGO_COLOUR = (0, 150, 255, 255)
+EGO_COLOUR, FURTHER_COLOUR = (0, 150, 255, 255), (130, 200, 255, 255)
 VIEW, SEEN = "View #0", 100.0  # in SUMO's own window, and how much of the road it shows [m]
 
 
@@ -120,11 +119,12 @@ class Session:
             with contextlib.suppress(*self.errors):  # SUMO's window may be closed already
                 self._sumo.close()
 
-    def follow(self, name: str) -> None:
-        """In SUMO's own window: a colour for a vehicle, and the view goes with it."""
+    def follow(self, name: str, is_first: bool) -> None:
+        """In SUMO's own window: the colour of a learning car, and the view goes with the first one."""
         if self._sumo.hasGUI():
-            self._vehicle.setColor(name, EGO_COLOUR)
-            self._sumo.gui.trackVehicle(VIEW, name)
+            self._vehicle.setColor(name, EGO_COLOUR if is_first else FURTHER_COLOUR)
+            if is_first:
+                self._sumo.gui.trackVehicle(VIEW, name)
 
     # -- vehicles ------------------------------------------------------------------------------------------
 
@@ -188,30 +188,13 @@ class Session:
         self._vehicle.add(name, route, own_type, departLane="best", departPos="base", departSpeed=speed)
         return True
 
-    def deviate(self, name: str, deviation: Deviation) -> None:
-        """Multiply the parameters of a vehicle's own type by the factors of a risky driver."""
-        for key, factor in (
-            ("Accel", deviation.accel),
-            ("EmergencyDecel", deviation.emergency_decel),
-            ("ApparentDecel", deviation.decel),
-            ("Decel", deviation.decel),
-            ("Tau", deviation.tau),
-            ("MinGap", deviation.min_gap),
-        ):
-            if factor != 1.0:  # each setter copies the vehicle's type
-                getattr(self._vehicle, f"set{key}")(name, factor * getattr(self._vehicle, f"get{key}")(name))
-        for key, factor in (("lcAssertive", deviation.assertive), ("lcSpeedGain", deviation.speed_gain)):
-            parameter = f"laneChangeModel.{key}"
-            # there are models of lane changes without it
-            with contextlib.suppress(self._sumo.TraCIException, ValueError):
-                present = float(self._vehicle.getParameter(name, parameter))
-                self._vehicle.setParameter(name, parameter, f"{factor * present:.6g}")
-        if not deviation.gives_way:
-            self._vehicle.setSpeedMode(name, NO_RULES)
-
     def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo by its name, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
         return plain(operator.attrgetter(path)(self._sumo)(*arguments, **named))
+
+    def ask(self, function: str, *arguments: Any) -> Any:
+        """A function of ``libsumo.vehicle`` by its name, such as ``getSpeed``."""
+        return getattr(self._vehicle, function)(*arguments)
 
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""

@@ -10,7 +10,6 @@ from collections.abc import Collection
 from itertools import repeat
 from math import inf
 from operator import itemgetter
-from typing import Any
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
@@ -118,10 +117,7 @@ class Surroundings:
 
 def neighbours(session: Session, name: str) -> tuple[Neighbour, ...]:
     """Leader and follower of a vehicle in the lane on SUMO's left, in its own lane, and in that on the right."""
-
-    def ask(function: str, *arguments: Any) -> Any:
-        return session.call(f"vehicle.{function}", arguments, {})
-
+    ask = session.ask
     own = ask("getLeader", name, PERCEPTION_DISTANCE), ask("getFollower", name, PERCEPTION_DISTANCE)
     around = []
     for side in ("Left", "", "Right"):

@@ -57,9 +57,7 @@ class SumoSimulator:
         """Place a scenario, drive its warm-up, and return the first scene."""
         for _ in range(2):  # SUMO may have been closed, or loaded with something else, behind our back
             try:
-                scene = self._begin(scenario)
-                self._session.follow(scene.ids[0])
-                return scene
+                return self._begin(scenario)
             except self._session.errors as error:
                 self._session.forget()
                 self._check_window(error)
@@ -110,28 +108,35 @@ class SumoSimulator:
 
     # -- start of an episode -------------------------------------------------------------------------------
 
-    def _begin(self, scenario: Scenario) -> Scene:
-        self._scenario = scenario
-        self._network = scenario.network
+    def _prepare(self, scenario: Scenario) -> None:
+        """Nobody is on the road yet."""
+        self._scenario, self._network = scenario, scenario.network
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
+        self._modes: dict[str, tuple[int, int]] = {}  # vehicles on the road, with SUMO's modes
+        self._crashed: dict[str, float] = {}  # crashed vehicles but learning cars -> speed [m/s]
+        self._cars: dict[str, Car[Any]] = {}  # the learning cars on the road
+        self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
+
+    def _begin(self, scenario: Scenario) -> Scene:
+        self._prepare(scenario)
         settings = self._settings(scenario)
         if _leaves_traces(scenario):
             self._session.load(replace(settings, options={**settings.options, "seed": str(scenario.seed)}))
         elif not self._session.clear(settings):
             self._session.load(settings)
-        self._modes: dict[str, tuple[int, int]] = {}  # vehicles on the road, with SUMO's modes
-        self._crashed: dict[str, float] = {}  # crashed vehicles but learning cars -> speed [m/s]
-        self._cars: dict[str, Car[Ego]] = {}  # the learning cars on the road
-        self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
         self._steps_done = 0
         self._drive_warm_up()
         for spec in scenario.cars:
             self._place(spec)
         for spec in scenario.cars:
-            ego = Ego(self._session, scenario, self._network, spec)
-            self._cars[spec.id] = Car(self._session, spec.id, ego, self._network.meeting)
+            self._take(spec.id, Ego(self._session, scenario, self._network, spec))
         return self._read()
+
+    def _take(self, name: str, ego: Any) -> None:
+        """A learning car is on the road."""
+        self._session.follow(name, is_first=not self._cars)
+        self._cars[name] = Car(self._session, name, ego, self._network.meeting)
 
     def _settings(self, scenario: Scenario) -> Settings:
         """What has to be loaded: the network, and every driver that may come.

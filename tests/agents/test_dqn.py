@@ -74,6 +74,31 @@ def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(interval: i
     assert np.abs(weights(agent.online) - weights(make(config, seed=1).online)).max() > 1e-3
 
 
+def test_updates_by_hand_are_those_of_autograd() -> None:
+    space = gym.spaces.Box(-1, 1, (4, INPUTS), np.float32)
+    config = DQNConfig(batch_size=16, learning_rate_final=5e-4)
+    agents = [
+        DQN(dataclasses.replace(config, by_hand=by_hand), space, gym.spaces.Discrete(ACTIONS), 1)
+        for by_hand in (False, True)
+    ]
+    for agent in agents:
+        generator = np.random.default_rng(0)
+        for _ in range(100):
+            pair = generator.uniform(-1, 1, (2, 4, INPUTS))
+            pair[:, generator.integers(1, 5) :] = 0.0  # nobody there
+            agent.replay.add(
+                pair[0], int(generator.integers(ACTIONS)), 0.3, pair[1], generator.random() < 0.2
+            )
+        agent.standardise()
+    before = weights(agents[0].online)
+    losses = np.array([[agent.update().item() for agent in agents] for _ in range(20)])
+    np.testing.assert_allclose(losses[:, 0], losses[:, 1], rtol=1e-4)
+    plain, by_hand = (weights(agent.online) for agent in agents)
+    np.testing.assert_allclose(plain, by_hand, atol=2e-6)
+    assert np.abs(plain - before).max() > 1e-3
+    np.testing.assert_allclose(*(agent.policy().q(pair[0]) for agent in agents), atol=1e-5)
+
+
 def test_the_first_update_is_that_of_stable_baselines3() -> None:
     """Before the networks part, double DQN is DQN; and its smooth L1 loss is half of ours where errors are small.
 
@@ -192,6 +217,7 @@ def test_epsilon_is_one_in_the_warm_up_and_then_decays_with_the_steps() -> None:
         ({"learning_rate": "fast"}, "learning_rate must be a number above 0"),
         ({"epsilon_final": 1.5}, "epsilon_final must be at most 1"),
         ({"standardise": 1}, "standardise must be true or false"),
+        ({"by_hand": True, "network": "dueling"}, "for the network attention on the cpu"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(setting: dict, message: str) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from agents import learners
 from agents.dqn import DQNConfig
-from agents.learner import settings_of
+from agents.learner import entries, settings_of
 from agents.learners import LEARNERS, learner
 from agents.streams import episode_seed
 from tests.experiments.computed import Interrupted, interrupting
@@ -95,6 +95,11 @@ def test_a_name_that_is_no_setting_is_an_error_with_the_nearest(name: str) -> No
         with pytest.raises(ValueError, match=next(iter(wrong))):
             settings_of(cls, wrong, name)
     assert {"steps", "updates"} <= {*dir(cls), *(field.name for field in fields(cls))}
+
+
+def test_a_setting_newer_than_published_cells_is_named_where_it_is_not_its_default() -> None:
+    assert "by_hand" not in entries(DQNConfig()) and len(entries(DQNConfig())) == len(fields(DQNConfig)) - 1
+    assert entries(DQNConfig(by_hand=True))["by_hand"] is True
 
 
 def test_unknown_learners_are_named(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import torch
 from torch.autograd import gradcheck
 from torch.func import functional_call
 
+from agents.by_hand import ByHand
 from agents.models import NETWORKS, DuelingMLP, EgoAttention, Standardised, network_class
 
 SPACE = gym.spaces.Box(-1, 1, (6, 5), np.float32)
@@ -120,3 +121,27 @@ def test_a_network_that_there_is_not_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=message):
             network_class(name)
+
+
+@pytest.mark.parametrize("others", [0, 3, 5])
+def test_values_and_gradient_by_hand_are_those_of_autograd(others: int) -> None:
+    """In double precision, so that sums taken in another order agree to the last digits; and one observation's."""
+    torch.manual_seed(2)
+    module = Standardised(EgoAttention(SPACE, ACTIONS), SPACE)
+    module.fit(table(5, seed=3, batch=50))
+    module = module.double()
+    x, gradient = table(others, batch=8).double(), torch.rand(5, ACTIONS, dtype=torch.float64)
+    expected = module(x)
+    expected[:5].backward(gradient)
+    wanted = [parameter.grad.clone() for parameter in module.parameters() if parameter.grad is not None]
+    for parameter in module.parameters():
+        parameter.grad = torch.full_like(parameter, torch.nan)  # each is written
+    by_hand = ByHand(module)
+    with torch.inference_mode():
+        values = by_hand(by_hand.standardised(x))
+        by_hand.backward(gradient)
+    torch.testing.assert_close(values, expected.detach(), rtol=0, atol=1e-12)
+    for parameter, grad in zip(module.parameters(), wanted, strict=True):
+        torch.testing.assert_close(parameter.grad, grad, rtol=0, atol=1e-12)
+    for observation, q in zip(x.numpy(), expected.detach().numpy(), strict=True):
+        np.testing.assert_allclose(by_hand.one(observation), q, atol=1e-6)

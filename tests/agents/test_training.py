@@ -103,11 +103,19 @@ needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a C
 @pytest.mark.parametrize("moments", [(20, 140), (260, 300), (300,)])
 @pytest.mark.parametrize(
     ("network", "device"),
-    [("Small", "cpu"), ("Noisy", "cpu"), pytest.param("Small", "cuda", marks=needs_cuda)],
+    [
+        ("Small", "cpu"),
+        ("Noisy", "cpu"),
+        ("by hand", "cpu"),
+        pytest.param("Small", "cuda", marks=needs_cuda),
+    ],
 )
 def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, network, device, moments) -> None:
-    network = f"{networks.__file__}:{network}"
-    config = replace(SMALL, network=network, device=device, replay_capacity=200)  # which wraps
+    by_hand = network == "by hand"
+    network = "attention" if by_hand else f"{networks.__file__}:{network}"
+    config = replace(
+        SMALL, network=network, by_hand=by_hand, device=device, replay_capacity=200
+    )  # which wraps
     file = tmp_path / "new folder" / "checkpoint.npz"
     run = partial(train, config=config, seed=0)
     expected = run(road())
@@ -142,6 +150,7 @@ def test_a_full_disk_leaves_the_old_checkpoint(tmp_path, monkeypatch) -> None:
     ("changed", "message"),
     [
         ({"config": replace(SMALL, gamma=0.9)}, "gamma 0.95 instead of 0.9"),
+        ({"config": replace(SMALL, network="attention", by_hand=True)}, "by_hand False instead of True"),
         ({"seed": 1}, "seed 0 instead of 1"),
     ],
 )

@@ -98,7 +98,7 @@ def test_spaces_are_those_of_highway_env(task: str) -> None:
             theirs.define_spaces()
             own = interface(TASKS[task], resolve(task, TASKS[task].defaults, chosen))
             assert own.observation_type.space == theirs.observation_space
-            assert gym.spaces.Discrete(len(own.actions)) == theirs.action_space
+            assert gym.spaces.Discrete(len(own.action_type.names)) == theirs.action_space
 
 
 @pytest.mark.parametrize(
@@ -109,14 +109,14 @@ def test_actions_are_those_of_highway_env(task: str, action: dict[str, Any]) -> 
     chosen = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 8, 16], **action}}
     theirs = stock(task)({"vehicles_count": 5, **chosen})
     own = interface(TASKS[task], resolve(task, TASKS[task].defaults, chosen))
-    assert gym.spaces.Discrete(len(own.actions)) == theirs.action_space
-    assert own.actions == theirs.action_type.actions
-    assert list(own.target_speeds) == list(theirs.action_type.target_speeds)
+    assert gym.spaces.Discrete(len(own.action_type.names)) == theirs.action_space
+    assert own.action_type.names == theirs.action_type.actions
+    assert list(own.action_type.target_speeds) == list(theirs.action_type.target_speeds)
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_a_ladder_that_is_not_given_is_the_tasks(task: str) -> None:
     """highway-env falls back to the highway's, because it replaces the whole entry."""
     config = resolve(task, TASKS[task].defaults, {"action": {"type": "DiscreteMetaAction"}})
-    assert interface(TASKS[task], config).target_speeds == TASKS[task].target_speeds
+    assert interface(TASKS[task], config).action_type.target_speeds == TASKS[task].target_speeds
     assert ENVIRONMENTS[task](config).vehicle.target_speeds.tolist() == list(TASKS[task].target_speeds)

@@ -242,6 +242,9 @@ def test_what_tuples_cannot_be_is_an_error(config: dict[str, Any], message: str)
     ("id", "keywords", "message"),
     [
         ("replica/highway-v0", {"remove_crashed": True}, "crashed cars stay on the road"),
+        ("replica/highway-v0", {"live": "sumo-gui"}, "live: there is no SUMO on the replica"),
+        ("sumo/highway-v0", {"output_dir": "out"}, "output_dir is for networks of your own"),
+        ("sumo/highway-v0", {"live": "gui"}, "live must be None or 'sumo-gui'"),
         ("CartPole-v1", {}, "not an environment of sumo_env"),
         ("sumo/two-way-v0", {"config": {"controlled_vehicles": 3}}, "is at most 2"),
     ],
@@ -306,6 +309,25 @@ def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
     assert set(ends) == set(env.possible_agents) and "arrived" in ends.values()
     assert list(env.ids.values()) == ["early", "late", "g.0", "g.1"]
     env.close()
+
+
+@needs_sumo
+def test_for_super_suit_all_agents_act_from_the_beginning(road: tuple[Path, Path]) -> None:
+    """Those that come later see zeros until then; all end together."""
+    supersuit = pytest.importorskip("supersuit")
+    from sumo_env.parallel import AllAgents
+
+    config = {"duration": 15, "action": WATCHED}
+    cars = sumo_env.parallel_env(road[0], config, routes=road[1], vehicle_type="cav", max_cars=3)
+    envs = supersuit.pettingzoo_env_to_vec_env_v1(AllAgents(cars))
+    seen, _ = envs.reset(seed=0)
+    assert [bool(rows.any()) for rows in seen] == [True, False, False]
+    found = [envs.step(np.zeros(3, int)) for _ in range(15)]
+    assert [bool(rows.any()) for rows in found[13][0]] == [True, True, False]
+    assert sum(result[1][2] for result in found) == 0.0
+    assert found[-1][3].all() and not any(result[3].any() for result in found[:-1])
+    assert not any(result[2].any() for result in found)
+    envs.close()
 
 
 @needs_sumo

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import tyro
@@ -201,7 +200,7 @@ class Experiment:
         Raises ValueError for a name that there is not, or a value that makes no sense.
         """
         from agents.dqn import DQNConfig  # here: not every command needs the learner
-        from agents.learner import files_of, settings_of
+        from agents.learner import entries, files_of, settings_of
         from agents.learners import learner
         from agents.models import network_class
 
@@ -226,8 +225,7 @@ class Experiment:
         if not self._own_network and hasattr(settings, "network"):
             network_class(settings.network)
         files |= {f"{name}_sha256": digits for name, digits in files_of(settings).items()}
-        values = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(settings).items()}
-        return {**values, **rules.entries(), **files}
+        return {**entries(settings), **rules.entries(), **files}
 
     @property
     def _own_network(self) -> str | None:

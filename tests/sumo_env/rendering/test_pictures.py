@@ -77,6 +77,14 @@ def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:
         assert pixel(picture, 115 + dx, dy) == ASPHALT
 
 
+def test_learning_cars_have_the_colour_of_the_ego_in_a_lighter_shade() -> None:
+    now = replace(scene((100, 4, 0), (115, 4, 0), (110, 8, 0), crashed=(1,)), cars=2)
+    picture = Renderer().draw(now, highway(4), VIEW)
+    colours = [pixel(picture, x, y) for x, y in ((99.5, 4), (114.5, 4), (109.5, 8))]
+    assert colours == [EGO, tuple((a + b) // 2 for a, b in zip(EGO, OTHER, strict=True)), OTHER]
+    assert pixel(picture, 115 + RING - 0.2, 4) == CRASHED
+
+
 def test_headings_turn_clockwise_on_the_screen() -> None:
     """y points down: heading pi / 2 looks to the lower edge of the picture, where the headlights are."""
     picture = Renderer().draw(scene((100, 4, 0), (120, 4, math.pi / 2)), highway(4), VIEW)

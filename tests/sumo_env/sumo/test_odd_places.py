@@ -12,7 +12,7 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.networks.mapping import network
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo import options, process
+from sumo_env.sumo import link, options, process
 from tests.processes import python
 from tests.sumo_env.sumo.fake import scenario
 
@@ -82,10 +82,10 @@ def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> 
 
 @pytest.mark.parametrize("executable", [None, "", "/bin/no-python"])
 def test_a_program_is_found_beside_the_library(executable: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = process._interpreter()
+    known = link.interpreter()
     monkeypatch.setattr(sys, "executable", executable)
     monkeypatch.setattr("multiprocessing.spawn._python_exe", None)
-    assert Path(process._interpreter()).resolve() == Path(known).resolve()
+    assert Path(link.interpreter()).resolve() == Path(known).resolve()
 
 
 def test_where_no_program_is_found_the_error_says_how_to_name_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,4 +97,4 @@ def test_where_no_program_is_found_the_error_says_how_to_name_one(monkeypatch: p
     ):
         process.SumoProcess("no:Simulator")._begin(scenario(0))
     monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/bin/sh")
-    assert process._interpreter() == "/bin/sh"
+    assert link.interpreter() == "/bin/sh"

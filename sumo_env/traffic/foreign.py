@@ -11,6 +11,7 @@ import gzip
 import os
 import re
 import stat
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
@@ -35,7 +36,7 @@ CROWD = 10_000  # vehicles of one file that depart at one moment
 LARGEST = 1e9  # of any number: seconds, metres, m/s
 UNPACKED = 2**32  # bytes of a file
 # Attributes that are numbers, or words, or numbers among words such as normc(1, 0.1).
-NUMBERS = re.compile(
+NUMBERS = (
     "accel|decel|tau|length|width|height|sigma|impatience|mass|speed|depart|period|begin|end|number|probability|"
     "vehsPerHour|perHour|duration|until|pos|freq|shape|repeat|x|y|z|friction|scale|offset|stepping|"
     "(lc|jm|cc)[A-Z0-9].*|[a-z].*(Decel|Speed|Factor|Dev|Gap|Pos|Lat|Length|Duration|Offset|Time)"
@@ -58,6 +59,7 @@ RANGES = {
     "phase": {"duration": (1e-3, LARGEST)},
     **{tag: {"departPos": (-1e5, 1e5), "speedFactor": (0.01, 10.0)} for tag in ("vehicle", "trip", "flow")},
 }
+is_number = lru_cache(1000)(re.compile(NUMBERS).fullmatch)  # whether an attribute of this name is one
 WORDS = re.compile(r"[^\s,;:()]+")
 SUSPECT = re.compile(
     r"nan|inf|e\+?\d\d|(?<![\d.])\d{10}|0x", re.IGNORECASE
@@ -129,7 +131,7 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
         if is_network and tag in NOT_IN_NETWORKS:
             refuse(f"<{tag}> in a network may end the process: move it to an additional file")
         for name, text in has.items():
-            if NUMBERS.fullmatch(name) and SUSPECT.search(text):
+            if is_number(name) and SUSPECT.search(text):
                 for word in WORDS.findall(text):
                     if _is_none(word):
                         refuse(f'<{tag} {name}="{text:.60}"> is no number that SUMO can drive with')
@@ -170,7 +172,7 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
                     refuse("more than 4 GiB when it is unpacked")
                 parser.Parse(part)
             parser.Parse(b"", True)
-    except (OSError, EOFError, expat.ExpatError) as error:
+    except (OSError, EOFError, zlib.error, expat.ExpatError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None
     return tuple(found)
 

@@ -55,13 +55,13 @@ SAID = (UserError, CheckpointError, ConfigError, SimulatorError, ValueError, Fil
 PATIENCE, MEMORY = 60, 8 * 2**30  # [s] of the processor, and bytes, of a read
 NOBODY = 65534  # who reads where the campaign runs as root: for root nothing is unreadable
 STATES = ("A", "unaffected", "B", "C", "D")
-Case = tuple[str, Path, Callable[[], None], Callable[[], Any]]  # name, file, damage, read
+Case = tuple[str, Path, Callable[[], object], Callable[[], Any]]  # name, file, damage, read
 
 
 # -- damage ------------------------------------------------------------------------------------------------
 
 
-def spoilt(file: Path) -> dict[str, Callable[[], None]]:
+def spoilt(file: Path) -> dict[str, Callable[[], object]]:
     """Ways to damage any file, by name."""
     content, rng = file.read_bytes(), random.Random(file.name)
 

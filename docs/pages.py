@@ -521,13 +521,26 @@ def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dic
     return found
 
 
+def road_units(task: str, unit: str, digits: int) -> str:
+    """The cell of a table: a unit of the road at all doses, and of measured drivers; empty where nothing happens."""
+    values = chosen(table("road-units.parquet"), task=task)[unit]
+    *doses, measured = (plain(value, digits) for value in values)
+    return f"{', '.join(doses)}; **{measured}**".replace(" ", NO_BREAK) if values.any() else ""
+
+
+def road_ratio(task: str, unit: str, traffic: str, other: str) -> str:
+    """How many times the rate of another traffic one has."""
+    rates = chosen(table("road-units.parquet"), task=task).set_index("traffic")[unit]
+    return plain(rates[traffic] / rates[other], 0)
+
+
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
     above_frontier, additional_crashes, avoidable, change, checked, checks, corruptions, decided, effect, entering,
     failing, hazard, late_crashes, missed, more_crashes, other_learner, other_learners, passing, planner_scenarios,
-    planners, price, price_limits, progress, rate, returns, row, settings, tasks, validation, variant,
-    with_noise_of_episodes,
+    planners, price, price_limits, progress, rate, returns, road_ratio, road_units, row, settings, tasks, validation,
+    variant, with_noise_of_episodes,
 ]  # fmt: skip
 
 

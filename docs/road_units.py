@@ -1,19 +1,21 @@
-"""What a dose of risk is in units of the road: ``python docs/road_units.py [SCENARIOS] [TASK ..]``.
+"""Risk in units of the road: ``python docs/road_units.py [TASK ..]`` writes results/road-units.parquet (all tasks).
 
-The other vehicles in the lightest traffic of each task, around the careful driver, at five doses; the same
-scenarios at each. Rates are per vehicle and minute. The first SETTLED seconds do not count: vehicles are placed faster
-than the limit and closer than they like, as in highway-env, and brake hard at once.
+The other vehicles in the lightest traffic of each task, around the careful driver: at five doses, and measured drivers
+(`sumo_env.traffic.measured`); the same scenarios in each. Rates are per vehicle and minute. The first SETTLED seconds
+do not count: vehicles are placed faster than the limit and closer than they like, as in highway-env, and brake at once.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -28,7 +30,12 @@ from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import Scenario
 
-DOSES = (0.0, 0.25, 0.5, 0.75, 1.0)
+TABLE = Path(__file__).resolve().parents[1] / "results" / "road-units.parquet"
+TRAFFICS: dict[str, Mapping[str, Any]] = {
+    **{f"{dose:g}": {"risk": dose} for dose in (0.0, 0.25, 0.5, 0.75, 1.0)},
+    "measured": {"drivers": "measured"},
+}
+SCENARIOS = {"highway": 40}  # of the others 100
 SETTLED = 3.0  # [s]
 HARD = (3.0, 4.4)  # [m/s2] harsh braking of UDRIVE's trucks, and 0.45 g
 
@@ -48,11 +55,11 @@ class Traced(SumoProcess):
         return step
 
 
-def episodes(task: str, dose: float, count: int) -> Iterator[tuple[Scenario, list[Scene]]]:
+def episodes(task: str, config: Mapping[str, Any], count: int) -> Iterator[tuple[Scenario, list[Scene]]]:
     """Scenarios and their scenes, one a sub-step, until the episode ends."""
     level = next(iter(TASKS[task].levels.values()))
     simulator = Traced(here=True)
-    with closing(DrivingEnv(task, {**level, "risk": dose}, simulator=simulator)) as env:
+    with closing(DrivingEnv(task, {**level, **config}, simulator=simulator)) as env:
         policy = make_policy("careful", env)
         for number in range(count):
             seed = scenario_seed(task, 1, number, "gate")
@@ -66,10 +73,10 @@ def episodes(task: str, dose: float, count: int) -> Iterator[tuple[Scenario, lis
             yield env.scenario, simulator.scenes
 
 
-def measures(task: str, dose: float, count: int) -> list[float]:
-    """Vehicle-minutes, quantiles of the headway, its share below 1 s, rates of braking, cut-ins, lane changes."""
+def measures(task: str, config: Mapping[str, Any], count: int) -> dict[str, float]:
+    """Vehicle-minutes, quantiles of the headway [s], its share below 1 s, rates of braking, cut-ins, lane changes."""
     times, changes, minutes, braking, cut_ins = [], [], 0.0, np.zeros(len(HARD)), 0
-    for scenario, scenes in episodes(task, dose, count):
+    for scenario, scenes in episodes(task, config, count):
         dt = 1.0 / scenario.simulation_frequency
         first = round(SETTLED / dt)
         speeds: dict[str, float] = {}
@@ -95,26 +102,32 @@ def measures(task: str, dose: float, count: int) -> list[float]:
             after = math.ceil(event.time / dt) + 1  # the scene after the sub-step in which it begins
             if event.kind == "cut-in" and first < after < len(scenes):
                 cut_ins += event.vehicle in scenes[after].in_event
-    quantiles = np.quantile(times, (0.05, 0.5)) if times else (np.nan, np.nan)
-    share = float(np.mean(np.array(times) < 1.0)) if times else np.nan
-    return [minutes, *quantiles, share, *(braking / minutes), cut_ins / minutes, float(np.mean(changes))]
+    headway = np.array(times)
+    return {
+        "minutes": minutes,
+        "headway_5": float(np.quantile(headway, 0.05)),
+        "headway": float(np.median(headway)),
+        "below_1": float(np.mean(headway < 1.0)),
+        **{f"braking_{limit:g}": float(rate) for limit, rate in zip(HARD, braking / minutes, strict=True)},
+        "cut_ins": cut_ins / minutes,
+        "lane_changes": float(np.mean(changes)),
+    }
 
 
-def main(count: int, tasks: list[str]) -> None:
-    """Print the table."""
-    names = ["task", "dose", "vehicle-minutes", "headway, 5 and 50 % [s]", "below 1 s"]
-    names += ["braking > 3 m/s2", "> 4.4 m/s2", "cut-ins", "lane changes"]
-    print("|", " | ".join(names), "|")
-    print("|---|---|---|---|---|---|---|---|---|")
+def main(tasks: list[str]) -> None:
+    """Write the lines of these tasks."""
+    before = pd.read_parquet(TABLE) if TABLE.exists() else pd.DataFrame(columns=["task"])
+    lines = [before[~before["task"].isin(tasks)]]
     for task in tasks:
-        for dose in DOSES:
-            minutes, low, middle, share, *rates = measures(task, dose, count)
-            shown = " | ".join(f"{rate:.2f}" for rate in rates)
-            print(
-                f"| {task} | {dose} | {minutes:.0f} | {low:.1f}, {middle:.1f} | {share:.0%} | {shown} |",
-                flush=True,
-            )
+        for traffic, config in TRAFFICS.items():
+            line = {"task": task, "traffic": traffic, **measures(task, config, SCENARIOS.get(task, 100))}
+            print(line, flush=True)
+            lines.append(pd.DataFrame([line]))
+    table = pd.concat([part for part in lines if len(part)])
+    table.sort_values(["task"], key=lambda names: names.map(list(TASKS).index), kind="stable").to_parquet(
+        TABLE, index=False
+    )
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 40, sys.argv[2:] or list(TASKS))
+    main(sys.argv[1:] or list(TASKS))

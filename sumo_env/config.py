@@ -21,12 +21,15 @@ COMMON: Config = {
     "simulation_frequency": 10,  # [Hz] SUMO's step is its inverse (highway-env: 15)
     "policy_frequency": 1,  # [Hz]
     "risk": 0.0,  # dose of risky traffic, 0 (regular) to 1
+    "drivers": "highway-env",  # whose numbers the other drivers have: highway-env's, or measured ones
     "screen_width": 600,  # [px]
     "screen_height": 150,  # [px]
     "scaling": 5.5,  # [px/m]
     "centering_position": [0.3, 0.5],
 }
 
+MEASURED = "measured"
+DRIVERS = ("highway-env", MEASURED)
 STOCK_FREQUENCY = 15  # [Hz] highway-env's ``simulation_frequency``
 
 DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
@@ -264,6 +267,7 @@ def _check(config: Config, defaults: Config) -> None:
         if not 0 <= value <= most or (positive and value == 0):
             least = "(0" if positive else "[0"
             raise ConfigError(f"config key {key!r} must lie in {least}, {most:g}], not {value!r}")
+    one_of("value of config['drivers']:", config["drivers"], DRIVERS)
     speeds = config.get("reward_speed_range")
     if speeds is not None and speeds[0] == speeds[1]:
         raise ConfigError(f"config key 'reward_speed_range' must be two different speeds, not {speeds!r}")

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from sumo_env.actions import ActionType, action_type
-from sumo_env.config import Config, ConfigError
+from sumo_env.config import MEASURED, Config, ConfigError
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.neighbours import LeadersFollowers
@@ -37,6 +37,10 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         ConfigError: the reward cannot be normalised, the entry of the action or of the observation is malformed, or the
             simulator has no use for it.
     """
+    if config["drivers"] == MEASURED and (steers or isinstance(task, NetworkTask)):
+        raise ConfigError(
+            "config key 'drivers' can only be 'highway-env' here: measured drivers are for sumo/*"
+        )
     kind = action_type(config["action"], task.target_speeds, steers)
     limits = task.reward_limits(config)
     if limits and config["normalize_reward"] and limits[0] == limits[1]:

@@ -17,14 +17,7 @@ from sumo_env.networks import files
 from sumo_env.networks.roads import Road
 from sumo_env.scene import Scene
 from sumo_env.simulator import Commands, Simulator
-from sumo_env.sumo.options import (
-    OUTPUT_DIR,
-    REFUSED,
-    REFUSED_FOR_FILES,
-    check_effect,
-    check_live,
-    check_options,
-)
+from sumo_env.sumo.options import OUTPUT_DIR, check_live, check_options
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo
 from sumo_env.sumo.settings import file_settings
@@ -64,16 +57,13 @@ class OwnSumo:
             )
         self._given = self._simulator = simulator
         self._live = check_live(live)
+        self._options = check_options(options, isinstance(self.task, NetworkTask))
         if not isinstance(self.task, NetworkTask):
-            self._options = check_options(options, REFUSED)
-            check_effect(self._options)
             if output_dir is not None:
                 raise ConfigError(
                     "output_dir is for networks of your own; sumo_options name outputs of this task"
                 )
-            return
-        self._options = check_options(options, REFUSED_FOR_FILES)
-        if output_dir is not None:
+        elif output_dir is not None:
             check_outputs(self.task.outputs)
             outputs = [f"--{name}={value}" for name, value in self.task.outputs]
             self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")

@@ -236,7 +236,7 @@ def parallel_env(
         ConfigError: as of `DrivingEnv`; no or too many learning cars.
     """
     make: Any = DrivingEnv
-    if not isinstance(env, Task) and files.is_file(str(env)):
+    if not isinstance(env, Task) and (files.is_file(str(env)) or str(env).endswith(".sumocfg")):
         parts = ("routes", "additional", "vehicles", "vehicle_type", "max_cars")
         fleet = FleetTask(env, **{name: keywords.pop(name) for name in parts if name in keywords})
         if "controlled_vehicles" in (config or {}):

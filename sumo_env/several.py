@@ -73,6 +73,8 @@ class Cars:
         self, make: Make, given: Asked, render_mode: str | None = None, removes_crashed: bool = False
     ) -> None:
         """make: makes the environment of a car; removes_crashed: whether crashed cars leave the road."""
+        if given.cars > 1 and given.config.get("manual_control"):
+            raise ConfigError("'manual_control' drives one car: keys say nothing about further ones")
         self.envs = [make(given.config, None if number else render_mode) for number in range(given.cars)]
         self.first, self._removes_crashed = self.envs[0], removes_crashed
         self.first.cars = given.cars
@@ -126,22 +128,22 @@ class Cars:
         return results, come
 
     def _newcomers(self, scene: Scene) -> dict[int, Seen]:
-        """What cars see that have come."""
-        come = [name for name in scene.ids[: scene.cars] if name not in self._here]
-        self._here.update(come)
-        numbers = [self.numbers.setdefault(name, len(self.numbers)) for name in come]
-        return {number: self._begin(name, number, scene) for name, number in zip(come, numbers, strict=True)}
-
-    def _begin(self, name: str, number: int, scene: Scene) -> Seen:
-        env, first, scenario = self.envs[number], self.first, self._scenario
-        spec = next((spec for spec in scenario.cars if spec.id == name), scenario.ego._replace(id=name))
-        if env is not first:
-            env.np_random = first.np_random
-        self._let_see(env, name)
-        seen = env._begin(replace(scenario, ego=spec), scene.seen_by(name))
-        if scenario.traffic is None:
-            env._spec_of = first._spec_of  # to which arrivals are added
-        env.steps = self.steps
+        """Begin the episode of cars that have come; what they see."""
+        seen, first, scenario = {}, self.first, self._scenario
+        for name in scene.ids[: scene.cars]:
+            if name in self._here:
+                continue
+            self._here.add(name)
+            number = self.numbers.setdefault(name, len(self.numbers))
+            env = self.envs[number]
+            if env is not first:
+                env.np_random = first.np_random
+            self._let_see(env, name)
+            spec = next((spec for spec in scenario.cars if spec.id == name), scenario.ego._replace(id=name))
+            seen[number] = env._begin(replace(scenario, ego=spec), scene.seen_by(name))
+            if scenario.traffic is None:
+                env._spec_of = first._spec_of  # to which arrivals are added
+            env.steps = self.steps
         return seen
 
     def _let_see(self, env: DrivingEnv, name: str) -> None:

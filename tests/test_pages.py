@@ -14,6 +14,7 @@ from pathlib import Path
 from statistics import fmean
 
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from scipy.stats import ttest_rel
 from statsmodels.stats.proportion import proportion_confint
@@ -276,6 +277,17 @@ def test_the_choice_of_the_learner_is_told_as_it_was_stored() -> None:
     on_road = [row for row in longer if (row["crash_time"] if row["crashed"] else row["length"]) > 8]
     crashes = [row for row in on_road if row["crashed"] and row["crash_time"] <= 9]
     assert pages.hazard(9, longer=True) == f"{len(crashes) / len(on_road):.3f}".removeprefix("0")
+
+
+def test_doses_in_units_of_the_road_are_those_of_the_table() -> None:
+    stored = pq.read_table(RESULTS / "road-units.parquet").to_pylist()
+    highway = [line for line in stored if line["task"] == "highway"]
+    assert [line["traffic"] for line in highway] == ["0", "0.25", "0.5", "0.75", "1", "measured"]
+    shown = re.findall(r"[0-9.]+", pages.road_units("highway", "lane_changes", 2))
+    assert list(map(float, shown)) == pytest.approx([line["lane_changes"] for line in highway], abs=0.0051)
+    assert pages.road_units("two-way", "lane_changes", 2) == ""
+    ratio = highway[4]["braking_4.4"] / highway[0]["braking_4.4"]
+    assert float(pages.road_ratio("highway", "braking_4.4", "1", "0")) == pytest.approx(ratio, abs=0.5)
 
 
 def test_the_checks_of_the_validation_are_counted() -> None:

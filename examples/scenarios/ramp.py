@@ -28,4 +28,4 @@ def make(**keywords):
 if __name__ == "__main__":
     from train import main
 
-    main("ramp", make, "PPO", steps=16_000)
+    main("ramp", make, "PPO", steps=16_000, levels=(-1.0, -0.5, 0.0, 0.1, 0.2, 0.3, 0.5, 1.0))

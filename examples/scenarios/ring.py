@@ -37,4 +37,4 @@ def make(**keywords):
 if __name__ == "__main__":
     from train import main
 
-    main("ring", make, "PPO", steps=10_000)
+    main("ring", make, "PPO", steps=10_000, levels=(-0.5, -0.1, -0.05, 0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0))

@@ -89,11 +89,8 @@ def constants(space, levels):
     """Actions that a driver may take for ever, by name."""
     if isinstance(space, gym.spaces.Discrete):
         return {str(number): number for number in range(space.n)}
-    levels = levels if space.shape == (1,) else (-1.0, 0.0, 1.0)
-    return {
-        str(values): np.array(values, np.float32)
-        for values in product(levels, repeat=int(np.prod(space.shape)))
-    }
+    axes = (levels, *[(-1.0, 0.0, 1.0)] * (space.shape[0] - 1))
+    return {str(values): np.array(values, np.float32) for values in product(*axes)}
 
 
 def returns(env, act, seeds, sumo_drives=False):
@@ -117,7 +114,7 @@ def returns(env, act, seeds, sumo_drives=False):
 def main(name, make, learner, steps, levels=(-1.0, -0.5, 0.0, 0.5, 1.0), **settings):
     """Train, test, and write down what was found; options of the command line change the sizes.
 
-    levels: of constant actions that are one number.
+    levels: of the first number of constant actions.
     """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=steps)

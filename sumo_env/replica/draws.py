@@ -87,7 +87,8 @@ def _highway(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, Vehi
     offset = config["ego_spacing"] * (12.0 + 25.0) * spread
     vehicles: list[VehicleSpec] = []
     x, k = 3.0 * offset, 0
-    for number, share in enumerate(highway.near_split(int(config["vehicles_count"]), cars_count(config))):
+    parts = np.array_split(range(int(config["vehicles_count"])), cars_count(config))
+    for number, share in enumerate(map(len, parts)):
         start = highway.first_lane(config, rng)
         x += offset * rng.uniform(0.9, 1.1)
         vehicles.append(make_on_lane(road, car_id(number), start, x, 25.0, _driver(road)))

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from sumo_env.config import ConfigError
 
-# What the environment sets itself, or could not do its work with.
+# What the environment sets itself, or could not do its work with: everywhere, in tasks that place their vehicles
+# themselves, and where SUMO loads the traffic of its own files.
 REFUSED = (
     *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length"),
-    *("--collision.action", "--collision.check-junctions", "--collision.mingap-factor", "--time-to-teleport"),
-    *("--lanechange.duration", "--lateral-resolution", "--load-state", "--mesosim"),
-    *("--remote-port", "--num-clients", "--gui", "--start"),
+    *("--collision.action", "--collision.check-junctions", "--collision.mingap-factor"),
+    *("--load-state", "--mesosim", "--remote-port", "--num-clients", "--gui", "--start"),
 )
+REFUSED_BY_TASKS = ("--time-to-teleport", "--lanechange.duration", "--lateral-resolution")
+REFUSED_FOR_FILES = ("--seed", "--random", "--output-prefix")
 # Beginnings of the options that change what SUMO does with the vehicles of its own files: when they come, how they are
 # inserted, what their types leave out, and SUMO's random numbers.
 OF_FILES = (
@@ -25,14 +27,6 @@ OF_FILES = (
     *("--extrapolate-departpos", "--route-steps", "--ignore-route-errors", "--thread-rngs"),
 )
 DESCRIPTORS = Path("/proc/self/fd")  # the files that this process has open, as links; on Linux
-
-
-# Likewise, where SUMO loads the traffic of its own files.
-REFUSED_FOR_FILES = (
-    *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length", "--seed"),
-    *("--random", "--collision.action", "--collision.check-junctions", "--collision.mingap-factor"),
-    *("--load-state", "--mesosim", "--output-prefix", "--remote-port", "--num-clients", "--gui", "--start"),
-)
 OUTPUT_DIR = "--output-dir"  # no option of SUMO: the folder for its outputs
 LIVE = "--sumo-gui"  # likewise: that SUMO runs in its own window
 
@@ -63,11 +57,13 @@ def check_live(live: str | None) -> bool:
     return True
 
 
-def check_options(options: Sequence[str], refused: Collection[str] = REFUSED) -> tuple[str, ...]:
+def check_options(options: Sequence[str], of_files: bool) -> tuple[str, ...]:
     """The options, each as ``--name=value``; they may also be given as ``--name``, ``value``.
 
+    of_files: whether SUMO loads the traffic of its own files.
+
     Raises:
-        ConfigError: not a list of strings, no long name, or an option that cannot be changed.
+        ConfigError: not a list of strings, no long name, an option that cannot be changed, or one that has no effect.
     """
     if isinstance(options, str) or not all(isinstance(option, str) for option in options):
         raise ConfigError(
@@ -83,29 +79,19 @@ def check_options(options: Sequence[str], refused: Collection[str] = REFUSED) ->
             found[name], name = part, ""
         else:
             raise ConfigError(f"sumo_options: expected the long name of one of SUMO's options, not {part!r}")
-        if name in refused:
+        if name in (*REFUSED, *(REFUSED_FOR_FILES if of_files else REFUSED_BY_TASKS)):
             raise ConfigError(
                 f"SUMO's option {name} is the environment's own: roads and vehicles are those of SumoDrivingEnv, steps "
                 "and ends follow 'begin', 'simulation_frequency' and 'duration', SUMO's seed is that of reset(), and "
                 "export() writes an episode for sumo-gui"
             )
-    return tuple(f"{name}={value}" for name, value in found.items())
-
-
-def check_effect(options: Sequence[str]) -> None:
-    """See to it that options, as of `check_options`, can act in a task that places all vehicles itself.
-
-    Raises:
-        ConfigError: one changes vehicles of files alone, of which such a task has none.
-    """
-    for option in options:
-        if option.startswith(OF_FILES):
-            name = option.partition("=")[0]
+        if not of_files and name.startswith(OF_FILES):
             raise ConfigError(
                 f"SUMO's option {name} has no effect here: it is for the vehicles of SUMO's files, and this task "
                 "places every vehicle itself, by the seed of reset(). Keys of the configuration change the traffic; "
                 "SumoDrivingEnv drives SUMO's files"
             )
+    return tuple(f"{name}={value}" for name, value in found.items())
 
 
 @contextmanager

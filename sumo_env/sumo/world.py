@@ -24,7 +24,7 @@ from sumo_env.sumo.car import Car
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.engine import LIBSUMO, window
 from sumo_env.sumo.events import Events, modes
-from sumo_env.sumo.options import LIVE, check_options
+from sumo_env.sumo.options import LIVE
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
 from sumo_env.sumo.settings import Settings, placed_settings
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
@@ -39,12 +39,12 @@ class SumoSimulator:
     """SUMO as a `Simulator`; a process may hold one of them (`SumoProcess` cares for that).
 
     Args:
-        options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``; `LIVE` for its own window.
+        options: further options of SUMO, as of `check_options`; `LIVE` for its own window.
     """
 
     def __init__(self, options: tuple[str, ...] = ()) -> None:
         self._session = Session(window() if LIVE in options else LIBSUMO)
-        self._options = check_options([option for option in options if option != LIVE])
+        self._options = tuple(option for option in options if option != LIVE)
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._kept: dict[str, Driver] = {}  # those of them that stay loaded
         self._pools: tuple[DriverPool, ...] = ()  # of the episode before

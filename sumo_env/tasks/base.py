@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config, ConfigError, pace, simulated_frequency
+from sumo_env.config import MEASURED, Config, ConfigError, pace, simulated_frequency
 from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
@@ -25,6 +25,7 @@ from sumo_env.traffic.drivers import (
     DriverPool,
     RiskRanges,
 )
+from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
 from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id
 
@@ -79,6 +80,7 @@ class Task:
     warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
     risk_ranges: ClassVar[RiskRanges] = RISK_RANGES
     risk_rates: ClassVar[RiskRates] = RiskRates()
+    measured: ClassVar[MeasuredPool] = MeasuredPool()  # the drivers of config["drivers"] = "measured"
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
     target_speeds: tuple[float, ...] = TARGET_SPEEDS
     # where further learning cars start, each with the ego's speed and destination: lane, s [m]
@@ -227,7 +229,7 @@ class Task:
         if len(set(ids)) < len(ids):
             twice = next(id for id in ids if ids.count(id) > 1)
             raise ConfigError(f"two vehicles of the task {self.name!r} are called {twice!r}")
-        return Scenario(
+        scenario = Scenario(
             task=self.name,
             seed=seed,
             risk=config["risk"],
@@ -246,6 +248,7 @@ class Task:
             obeys_lights=bool(config.get("obey_traffic_lights", False)),
             further=tuple(car_id(number) for number in range(1, cars)),
         )
+        return self.measured.driving(scenario) if config.get("drivers") == MEASURED else scenario
 
 
 class Drivers:

@@ -107,7 +107,7 @@ class Highway(Task):
         # ``HighwayEnv._create_vehicles``: ahead of each learning car an even share of the others, then the next one
         placed, last, shift, done = [], ego, 0.0, 0
         spacing = float(_spacing(np.array(25.0), config["ego_spacing"], config))
-        for number, share in enumerate(near_split(len(vehicles), count)):
+        for number, share in enumerate(map(len, np.array_split(range(len(vehicles)), count))):
             if number:
                 shift += spacing * rng.uniform(0.9, 1.1)
                 s = (vehicles[done - 1] if done else ego).s + shift
@@ -137,12 +137,6 @@ def first_lane(config: Config, rng: np.random.Generator) -> LaneIndex:
     if lane is not None and lane not in range(int(config["lanes_count"])):
         raise ConfigError(f"'initial_lane_id' must be None or a lane below 'lanes_count', not {lane!r}")
     return "0", "1", int(rng.integers(config["lanes_count"])) if lane is None else int(lane)
-
-
-def near_split(count: int, parts: int) -> list[int]:
-    """A number in almost equal parts, the larger ones first (``highway_env.utils.near_split``)."""
-    share, rest = divmod(count, parts)
-    return [share + (part < rest) for part in range(parts)]
 
 
 def _moved(road: Road, spec: VehicleSpec, by: float) -> VehicleSpec:

@@ -11,6 +11,7 @@ from sumo_env.networks.roads import Road, intersection
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
 from sumo_env.traffic.drivers import Calibration, CarFollowing, RiskRanges
+from sumo_env.traffic.measured import FROM_REST, STOP_SIGN, MeasuredPool
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import Spawn, VehicleSpec, car_id, fits
 
@@ -56,6 +57,7 @@ class Intersection(Task):
     car_following = CarFollowing(accel=6.0, decel=3.0, min_gap=2.0)
     warm_up = 3.0  # highway-env drives three seconds before it places the ego
     calibration = Calibration(lane_changes=False, waits_for_approaching=False, ignores_inside=0.35, tau=1.2)
+    measured = MeasuredPool(FROM_REST, STOP_SIGN, crossing=8.4)
     risk_ranges = RiskRanges(tau=(0.2, 1.0), min_gap=(0.1, 1.0), decel=(0.6, 1.0), not_giving_way=0.8)
     risk_rates = RiskRates(surge=0.1, surge_way=20.0)
     target_speeds = (0.0, 4.5, 9.0)

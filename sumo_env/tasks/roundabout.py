@@ -10,6 +10,7 @@ from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, roundabout
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane
 from sumo_env.traffic.drivers import Calibration, RiskRanges
+from sumo_env.traffic.measured import FROM_REST, ROUNDABOUT, MeasuredPool
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
@@ -61,6 +62,7 @@ class Roundabout(Task):
     levels = {"5": {"vehicles_count": 5}, "10": {"vehicles_count": 10}, "15": {"vehicles_count": 15}}
     # Surges alone empty the ring before a slow ego arrives, so some drivers also brake to a standstill in it.
     calibration = Calibration(lane_changes=False, ignores_approaching=0.85, ignores_inside=0.5)
+    measured = MeasuredPool(FROM_REST, ROUNDABOUT, crossing=4.0)
     # Tailgating drivers whom right of way does not stop make up for half of the events (docs/traffic-and-risk.md).
     risk_ranges = RiskRanges(tau=(0.2, 1.0), min_gap=(0.1, 1.0), not_giving_way=1.0)
     risk_rates = RiskRates(

@@ -7,8 +7,8 @@ the same value is placed into SUMO and into highway-env, which makes their compa
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from sumo_env.networks import files, mapping
@@ -195,6 +195,15 @@ class Scenario:
     def specs(self) -> tuple[VehicleSpec, ...]:
         """The ego and the others, in the order of the scene's rows."""
         return (self.ego, *self.vehicles)
+
+    def with_drivers(self, other: Callable[[Driver], Driver]) -> Scenario:
+        """This scenario with another driver in every vehicle but learning cars: what `other` makes of each."""
+
+        def changed(spec: VehicleSpec) -> VehicleSpec:
+            return spec if spec.id in self.further else spec._replace(driver=other(spec.driver))
+
+        spawns = tuple(replace(spawn, vehicle=changed(spawn.vehicle)) for spawn in self.spawns)
+        return replace(self, vehicles=tuple(map(changed, self.vehicles)), spawns=spawns)
 
     @property
     def cars(self) -> tuple[VehicleSpec, ...]:

@@ -244,6 +244,11 @@ def test_what_tuples_cannot_be_is_an_error(config: dict[str, Any], message: str)
         ("replica/highway-v0", {"remove_crashed": True}, "crashed cars stay on the road"),
         ("replica/highway-v0", {"live": "sumo-gui"}, "live: there is no SUMO on the replica"),
         ("sumo/highway-v0", {"output_dir": "out"}, "output_dir is for networks of your own"),
+        (
+            "sumo/highway-v0",
+            {"config": {"controlled_vehicles": 2, "manual_control": True}},
+            "'manual_control' drives one car",
+        ),
         ("sumo/highway-v0", {"live": "gui"}, "live must be None or 'sumo-gui'"),
         ("CartPole-v1", {}, "not an environment of sumo_env"),
         ("sumo/two-way-v0", {"config": {"controlled_vehicles": 3}}, "is at most 2"),
@@ -328,6 +333,22 @@ def test_for_super_suit_all_agents_act_from_the_beginning(road: tuple[Path, Path
     assert found[-1][3].all() and not any(result[3].any() for result in found[:-1])
     assert not any(result[2].any() for result in found)
     envs.close()
+
+
+@needs_sumo
+def test_what_sumo_writes_goes_to_a_folder_or_nowhere(road: tuple[Path, Path], tmp_path: Path) -> None:
+    net, routes = road
+    town = net.with_name("town.sumocfg")
+    files = f'<net-file value="{net.name}"/><route-files value="{routes.name}"/>'
+    town.write_text(f'<configuration>{files}<tripinfo-output value="trips.xml"/></configuration>')
+    config = {"duration": 5, "action": WATCHED}
+    with pytest.warns(UserWarning, match=r"outputs are off \(tripinfo-output\)"):
+        sumo_env.parallel_env(town, config, vehicles=["early", "late"])
+    env = sumo_env.parallel_env(town, config, vehicles=["early", "late"], output_dir=tmp_path)
+    env.reset(seed=0)
+    env.step({"car_0": 0})
+    env.close()
+    assert [path.parent.name for path in tmp_path.rglob("trips.xml")] == ["episode-1"]
 
 
 @needs_sumo

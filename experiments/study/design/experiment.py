@@ -25,8 +25,9 @@ from experiments.study.design.grid import (
 )
 from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
-from experiments.study.design.traffic import BETWEEN, TRAFFICS, unseen_traffics
+from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
+from sumo_env.config import MEASURED
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 Dynamics = Callable[[str, str], str]
@@ -75,6 +76,8 @@ class Experiment:
     """Other simulators on which the trained agents are tested as well."""
     unseen: Flag = False
     """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
+    traffics: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
+    """Further traffics to test in: measured (drivers as published), or any other one by its name."""
     frontier: Flag = False
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
@@ -183,6 +186,11 @@ class Experiment:
         if self.unseen:
             traffics = list(unseen_traffics(agent.task, self.backend))
             yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
+        if self.traffics:
+            if MEASURED in self.traffics and self.backend != "sumo":
+                raise UserError(f"{self.backend} has no measured drivers: leave out --traffics {MEASURED}")
+            further = [traffic_named(name).name for name in dict.fromkeys(self.traffics)]
+            yield replace(agent, kind="test", test_on={**here, "traffics": further})
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
                 elsewhere = {

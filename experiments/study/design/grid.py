@@ -34,7 +34,7 @@ IN_NAMES = {"traffic_model": "sumo"}  # a key of earlier versions, which the nam
 BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
 # Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
 PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
-FREE = {"risk", *PICTURES}
+FREE = {"risk", "drivers", *PICTURES}
 NOT_IN_KEY = {"source"}  # fields of a cell
 
 

@@ -10,7 +10,9 @@ import pytest
 from agents.rules import make_policy
 from experiments.backends import make_env
 from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.design.experiment import Experiment
 from experiments.study.design.grid import env_config
+from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS, get_task
@@ -62,7 +64,7 @@ def test_only_traffic_that_differs_is_tested() -> None:
 def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -> None:
     env = make_env("sumo", "roundabout", env_config("sumo", "roundabout", 1))
     traffics = unseen_traffics("roundabout")
-    assert set(traffics) == set(UNSEEN)
+    assert {*traffics, "measured"} == set(UNSEEN)
     tables = [
         evaluate(env, make_policy("idle", env), drives("roundabout", 1, range(6), order)).set_index("traffic")
         for order in (traffics, traffics[::-1])
@@ -73,7 +75,39 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
     env.close()
 
 
+def test_measured_drivers_stand_in_the_places_of_regular_traffic_and_leave_nothing_behind() -> None:
+    env = make_env("sumo", "intersection", env_config("sumo", "intersection", 1))
+    orders = ("regular", "measured", "risky"), ("risky", "regular", "measured")
+    tables = [
+        evaluate(env, make_policy("idle", env), drives("intersection", 1, range(6), order)).set_index(
+            "traffic"
+        )
+        for order in orders
+    ]
+    for traffic in orders[0]:
+        pd.testing.assert_frame_equal(*(table.loc[traffic] for table in tables))
+    inner: Any = env.unwrapped
+    assert {spec.driver.type.startswith("measured") for spec in inner.scenario.vehicles} == {True}
+    assert inner.config["drivers"] == "highway-env"
+    regular = inner.task.scenario(inner.config, inner.scenario.seed)
+    places = [[spec[:9] for spec in scenario.vehicles] for scenario in (inner.scenario, regular)]
+    assert places[0] == places[1]
+    env.close()
+
+
+def test_a_sweep_tests_in_further_traffic_by_name() -> None:
+    options: dict[str, Any] = {"preset": "smoke", "tasks": ("highway",), "arms": ("control",)}
+    before, cells = (
+        {cell.name: cell for cell in cells_of(Experiment(**options, traffics=names))}
+        for names in ((), ("measured",))
+    )
+    (added,) = cells.keys() - before.keys()
+    assert cells[added].tested["traffics"] == ["measured"] and cells[added].parent.name in before
+    with pytest.raises(UserError, match="replica has no measured drivers"):
+        cells_of(Experiment(**options, backend="replica", traffics=("measured",)))
+
+
 def test_every_traffic_is_one_row_and_an_unknown_one_is_named() -> None:
-    assert (*EVENTS, PARAMETERS, *MODELS) == UNSEEN
+    assert (*EVENTS, PARAMETERS, *MODELS, "measured") == UNSEEN
     with pytest.raises(UserError, match="unknown traffic 'risk': did you mean 'risky'"):
         evaluate(None, None, drives("u-turn", 1, [0], ["risk"]))

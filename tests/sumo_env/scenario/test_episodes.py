@@ -236,6 +236,21 @@ def test_begin_is_the_first_departure_where_nothing_departs_for_a_minute(town: P
         SumoDrivingEnv(town, ego_route=WAY, sumo_options=["--begin=5"])
 
 
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("lanechange.duration", "2"), ("time-to-teleport", "60"), ("lateral-resolution", "0.8")],
+)
+def test_options_that_the_five_tasks_refuse_are_taken(town: Path, option: str, value: str) -> None:
+    """Where SUMO loads its own files, and in a worker too."""
+    for _ in range(2):
+        env = SumoDrivingEnv(town, ego_route=WAY, sumo_options=[f"--{option}", value])
+        env.reset(seed=0)
+        env.step(0)
+        assert float(env.sumo.simulation.getOption(option)) == float(value)
+    with pytest.raises(ConfigError, match=f"{option} is the environment's own"):
+        DrivingEnv("highway", sumo_options=[f"--{option}={value}"])
+
+
 def test_vehicles_that_cannot_come_yet_are_counted(tmp_path: Path) -> None:
     env = SumoDrivingEnv(written(tmp_path, "queues"), ego_vehicle="q1")
     assert env.reset(seed=0)[1]["vehicles_waiting"] > 5

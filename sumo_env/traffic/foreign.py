@@ -43,7 +43,12 @@ NUMBERS = (
 )
 # Options of a configuration; those of time are in seconds.
 LIMITS = {"step-length": (0.001, 10.0), "default.action-step-length": (0.0, 100.0), "scale": (0.0, 10.0)}
-LIMITS |= {"threads": (0, 64), "device.rerouting.threads": (0, 64), "thread-rngs": (1, 1024)}
+LIMITS |= {
+    "threads": (0, 64),
+    "device.rerouting.threads": (0, 64),
+    "thread-rngs": (1, 1024),
+    "precision": (0, 20),
+}
 # What is possible, by element; of a distribution such as normc(1, 0.1) each number has to be.
 A_TYPE = {"length": (0.1, 1e3), "width": (0.1, 20.0), "accel": (0.01, 100.0), "decel": (0.01, 100.0)}
 A_TYPE |= {
@@ -112,20 +117,16 @@ def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> None:
 def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Path, ...]:
     """Check the elements of one file; returns the files that it includes."""
     parser, found, departing = expat.ParserCreate(), [], Counter[str]()
-    depth, lanes, left = 0, 0, UNPACKED
+    depth, left = 0, UNPACKED
 
     def refuse(what: str) -> NoReturn:
         raise ConfigError(f"{path}, line {parser.CurrentLineNumber}: {what}")
 
     def element(tag: str, has: Mapping[str, str]) -> None:
-        nonlocal depth, lanes
+        nonlocal depth
         depth += 1
-        if tag == "edge":
-            lanes = 0
-        elif tag == "lane" and is_network:
-            if has.get("index") != str(lanes):
-                refuse(f"lane {lanes} of an edge must have this index, not {has.get('index')!r}")
-            lanes += 1
+        if tag == "lane" and is_network and len(has.get("shape", "").split()) < 2:
+            refuse("a lane needs a shape of two points or more")
         if depth > DEEPEST:
             refuse(f"more than {DEEPEST} elements in each other")
         if is_network and tag in NOT_IN_NETWORKS:

@@ -75,7 +75,7 @@ def spoilt(file: Path) -> dict[str, Callable[[], object]]:
     def put(data: bytes) -> Callable[[], None]:
         return instead(lambda: file.write_bytes(data))
 
-    ways = {
+    ways: dict[str, Callable[[], object]] = {
         "cut in half": put(content[: len(content) // 2]),
         "cut by a byte": put(content[:-1]),
         "cut to ten": put(content[:10]),

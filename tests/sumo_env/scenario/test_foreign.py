@@ -154,8 +154,8 @@ def test_words_and_long_numbers_are_allowed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "element",
     [
-        'lane id="a" index="0" width="0"',
-        'lane id="a" index="0" length="-1"',
+        'lane id="a" index="0" shape="0,0 9,0" width="0"',
+        'lane id="a" index="0" shape="0,0 9,0" length="-1"',
         'vType id="a" length="0"',
         'vType id="a" maxSpeed="-3"',
         'vType id="a" scale="1e9"',

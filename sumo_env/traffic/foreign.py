@@ -28,6 +28,7 @@ NOT_IN_NETWORKS = {
     *("laneAreaDetector", "e3Detector", "include", "entryExitDetector", "routeProbe", "vTypeProbe"),
     *("calibrator", "rerouter", "timedEvent", "variableSpeedSign"),
 }
+READERS = {"rerouter", "variableSpeedSign"}  # elements with a file of further elements
 FLOWS = {"flow", "personFlow", "containerFlow"}
 DAY = 86400.0  # [s] after which a flow ends that names no end
 MOST = 100.0  # departures of a flow [1/s]; a lane takes less than one
@@ -131,6 +132,8 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
             refuse(f"more than {DEEPEST} elements in each other")
         if is_network and tag in NOT_IN_NETWORKS:
             refuse(f"<{tag}> in a network may end the process: move it to an additional file")
+        if tag == "net" and not is_network:
+            refuse("a network in the place of routes or additional elements would end the process")
         for name, text in has.items():
             if is_number(name) and SUSPECT.search(text):
                 for word in WORDS.findall(text):
@@ -147,10 +150,10 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
             departing[has.get("depart", "")] += 1
             if departing[has.get("depart", "")] > CROWD:
                 refuse(f'more than {CROWD:,} vehicles have depart="{has.get("depart", "")}"')
-        if tag == "include":
-            if not has.get("href"):
-                refuse("<include> names no file: SUMO would end the process")
-            found.append(path.parent / has["href"])
+        if tag == "include" or (tag in READERS and "file" in has):
+            if not (name := has.get("href", has.get("file"))):
+                refuse(f"<{tag}> names no file: SUMO would end the process")
+            found.append(path.parent / name)
         elif re.search("file|output", has.get("key", "")) and _is_connection(has.get("value", "")):
             refuse(f'"{has["key"]}" opens a connection to {has["value"]}: name a file')
         elif tag in FLOWS and (rate := _rate(has)) > MOST:

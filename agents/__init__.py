@@ -10,6 +10,7 @@ Knows gymnasium, numpy and torch; knows no simulator and no task by name.
     replay       uniform replay memory
     checkpoint   atomic files of arrays that detect damage
     greedy       the policy of a trained network, and its file
+    belief       an estimate of the dose of risk, and two agents weighed by it
     policies     what drives: the interface, models of Stable-Baselines3, objects of a user's file
     plugins      FILE:NAME
     pretrained   trained agents to load: `agents.load("u-turn-3", "mixed")`

@@ -51,6 +51,8 @@ CASES = (
     Case(share=0.5, correlation=0.5, by_pair=True),
     Case(share=4.0),
     Case(scenarios=800),
+    Case(scenarios=800, by_pair=True),
+    Case(share=0.5, correlation=0.5, scenarios=800, by_pair=True),
     Case(pairs=10),
 )
 

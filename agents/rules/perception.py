@@ -24,7 +24,8 @@ class View:
     Ego: origin (2,) [m] on the map (y down), heading of its road [rad], speed [m/s], curvature of its path [1/m]
     (positive to the right), sideways [m]: how far it left that path to the right in the last period.
     Others, in the frame of the ego (x ahead, y to the right): positions (n, 2) [m], headings [rad], speeds [m/s],
-    turning [rad/s] and acceleration [m/s2], (n,) each; the last two are 0 at the first sight of a vehicle.
+    turning [rad/s], acceleration [m/s2] and drift [m], how far it left its path to the right in the last period, (n,)
+    each; the last three are 0 at the first sight of a vehicle, where it is not yet known.
     """
 
     origin: np.ndarray
@@ -37,6 +38,8 @@ class View:
     speeds: np.ndarray
     turning: np.ndarray
     acceleration: np.ndarray
+    drift: np.ndarray
+    known: np.ndarray
 
 
 class Perception:
@@ -93,7 +96,7 @@ class Perception:
             sideways = float((points[0] - before.origin) @ right) - before.curvature * way**2 / 2
         ahead = np.array([np.cos(heading), np.sin(heading)])
         frame = np.stack([ahead, [-ahead[1], ahead[0]]], axis=1)
-        turning = acceleration = np.zeros(len(positions))
+        nothing = np.zeros(len(positions))
         view = View(
             origin=points[0],
             heading=heading,
@@ -103,8 +106,10 @@ class Perception:
             positions=positions @ frame,
             headings=_wrap(headings[1:] - heading),
             speeds=speeds[1:],
-            turning=turning,
-            acceleration=acceleration,
+            turning=nothing,
+            acceleration=nothing,
+            drift=nothing,
+            known=nothing > 0,
         )
         if before is not None:
             view = _follow(before, view)
@@ -180,16 +185,23 @@ def _follow(before: View, now: View) -> View:
     cos, sin = np.cos(turn), np.sin(turn)
     others = before.speeds[:, None] * np.stack([np.cos(before.headings), np.sin(before.headings)], axis=1)
     ego = (before.speed * np.array([1.0, 0.0]) + now.speed * np.array([cos, sin])) / 2
-    expected = (before.positions + PERIOD * (others - ego)) @ np.array([[cos, -sin], [sin, cos]])
+    frame = np.array([[cos, -sin], [sin, cos]])
+    expected = (before.positions + PERIOD * (others - ego)) @ frame
     distance = np.linalg.norm(now.positions[:, None] - expected[None], axis=2)
     nearest = distance.argmin(axis=1)
     known = distance.min(axis=1) < SAME
     turned = _wrap(now.headings + turn - before.headings[nearest]) / PERIOD
-    turned[(np.abs(turned) < TURNING) | (now.speeds < 1) | (before.speeds[nearest] < 1)] = 0.0
+    slow = (now.speeds < 1) | (before.speeds[nearest] < 1)
+    middle = now.headings - PERIOD * turned / 2  # the chord of an arc has the mean of its headings
+    way = now.positions - ((before.positions - PERIOD * ego) @ frame)[nearest]
+    drift = np.where(known & ~slow, np.cos(middle) * way[:, 1] - np.sin(middle) * way[:, 0], 0.0)
+    turned[(np.abs(turned) < TURNING) | slow] = 0.0
     return replace(
         now,
         turning=np.where(known, np.clip(turned, -MAX_TURNING, MAX_TURNING), 0.0),
         acceleration=np.where(known, (now.speeds - before.speeds[nearest]) / PERIOD, 0.0),
+        drift=drift,
+        known=known,
     )
 
 

@@ -14,6 +14,7 @@ import pandas as pd
 from scipy.stats import binom
 
 from agents.rules import POLICIES
+from experiments.analysis import pairs
 from experiments.analysis import plan as plans
 from experiments.analysis.cells import comparable, incomplete, is_main, leave_out, unfinished
 from experiments.analysis.claims import claims, price
@@ -23,7 +24,7 @@ from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import SETTING, arms_of, in_order, with_outcomes
-from experiments.study.design.arms import ARMS, EXTRA_ARMS
+from experiments.study.design.arms import ARMS, EXTRA_ARMS, PAIRS
 from experiments.study.design.grid import LEARNER
 from experiments.study.results.store import Results
 from experiments.support.errors import UserError
@@ -99,7 +100,11 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     both = effects[effects["arm"] == "treatment"]
     trends = slopes(looks, plan)
     everybody = arms_of(pd.concat([agents, careful_as(["careful"], episodes)]))
-    beside = [contrasts(everybody, dict.fromkeys(FURTHER_COMPARISONS, SHOWN)), *transfers(episodes)]
+    beside = [
+        contrasts(everybody, dict.fromkeys(FURTHER_COMPARISONS, SHOWN)),
+        contrasts(arms_of(pairs.units(episodes)), dict.fromkeys(pairs.COMPARED, SHOWN)),
+        *transfers(episodes),
+    ]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
     mean = [
         means(at_looks[at_looks["arm"] == "treatment"], plan, outcomes=outcomes),
@@ -213,7 +218,7 @@ def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.D
     frame.insert(len(group), "n", grouped.size().to_numpy())
     frame.insert(len(group) + 1, "unit", np.where(frame["arm"] != "", "training seed", "test episode"))
     own = sorted({*frame["policy"]} - {LEARNER, *POLICIES})
-    ranks = {name: rank for rank, name in enumerate((*ARMS, *EXTRA_ARMS, *POLICIES, *own))}
+    ranks = {name: rank for rank, name in enumerate((*ARMS, *EXTRA_ARMS, *PAIRS, *POLICIES, *own))}
     frame["rank"] = frame["arm"].where(frame["arm"] != "", frame["policy"]).map(ranks)
     return (
         in_order(frame, "backend", "task", "level", "rank", "traffic")

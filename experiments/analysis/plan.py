@@ -129,6 +129,9 @@ class Plan:
     primary_outcome, primary_term: of the one primary question, over all agents, with every task weighted alike.
     looks: planned looks; none: the number of seeds was fixed beforehand. price: all that has to hold for a gain without
     price, in all settings but hopeless ones (level names by task). published: name in plans.json.
+
+    4, of two agents together and a belief (docs/developers/plan_v4.md): bounds alone. trained: arms that have to be
+    there beside those of the families. design: what the cells are made of, as the preset asks for them.
     """
 
     version: int = 2
@@ -148,6 +151,8 @@ class Plan:
     hopeless: dict[str, tuple[str, ...]] = field(default_factory=dict)
     learner: Learner | None = None
     published: str = ""
+    trained: tuple[str, ...] = ()
+    design: dict[str, Any] = field(default_factory=dict)
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -161,8 +166,8 @@ class Plan:
 
     @property
     def arms(self) -> tuple[str, ...]:
-        """The arms that the families compare."""
-        return ("control", *dict.fromkeys(family.arm for family in self.families))
+        """The arms that the families compare, and others that have to be trained."""
+        return ("control", *dict.fromkeys([*(family.arm for family in self.families), *self.trained]))
 
     def outcome(self, family: Family) -> str:
         """The outcome of a family."""
@@ -198,7 +203,21 @@ SECOND = Plan(
     learner=Learner(ranges={**Learner().ranges, "intersection": 13.0}),
     published="second",
 )
-PLANS = {"second": SECOND, "first-clock": SECOND, "standard": TWO_BATCHES}  # by preset
+FOURTH = Plan(
+    version=4,
+    settings=tuple((task, names[0]) for task, names in GRID.items()),
+    families=(),
+    price=(
+        Bound("belief", "two-treatment", "risky", 0.05),
+        Bound("belief", "two-control", "regular", 0.025),
+        Bound("belief", "one-treatment", "risky", 0.05),
+        Bound("belief", "one-control", "regular", 0.025),
+    ),
+    learner=Learner(),
+    trained=("treatment", "mixed"),
+    design={"first_seed": 200, "seeds": 10, "first_scenario": 2000, "episodes": 800, "rule": [3.0, 0.3]},
+)
+PLANS = {"pairs": FOURTH, "second": SECOND, "first-clock": SECOND, "standard": TWO_BATCHES}  # by preset
 
 
 def plan_of(presets: Iterable[str]) -> Plan:

@@ -81,6 +81,7 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
         "mean": partial(mean, analysis, name),
         **answer(name, analysis),
         "mixed": mixed(name, analysis),
+        "together": together(name, analysis),
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
         "paces": paces(chosen(analysis.policies, backend=name)),
@@ -147,9 +148,10 @@ def sides(single: pd.DataFrame) -> dict[str, dict[str, int]]:
 def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
     """What the second study's plan asks of mixed training; None under another plan, or without such agents."""
     single = chosen(main(analysis.effects, name, "mixed"), outcome="crashed", term=list(TRAFFICS))
-    if not analysis.plan.get("price") or single.empty:
+    asked = any(bound["arm"] == "mixed" for bound in analysis.plan.get("price", ()))
+    if not asked or single.empty:
         return None
-    bounds = chosen(analysis.price, backend=name)
+    bounds = chosen(analysis.price, backend=name, arm="mixed")
     return {
         "verdict": all_hold(list(chosen(bounds, scope=ALL_TASKS)["verdict"])),
         "bounds": chosen(bounds, scope=ALL_TASKS).to_dict("records"),
@@ -158,6 +160,12 @@ def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
         **sides(single),
         "tasks": tables.first_page(analysis, name, "mixed"),
     }
+
+
+def together(name: str, analysis: Analysis) -> list[dict[str, Any]]:
+    """The bounds of two agents weighed by a belief, over all tasks; none under another plan."""
+    rows = analysis.price
+    return chosen(rows, backend=name, arm="belief", scope=ALL_TASKS).to_dict("records") if len(rows) else []
 
 
 def paces(policies: pd.DataFrame) -> dict[str, Any]:

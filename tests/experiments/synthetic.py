@@ -17,7 +17,7 @@ import pandas as pd
 from agents.rules import POLICIES
 from experiments.study.compute.evaluate import COLUMNS
 from experiments.study.design import grid
-from experiments.study.design.arms import ARMS, EVERY_ARM, gate_traffics
+from experiments.study.design.arms import ARMS, EVERY_ARM, PAIRS, gate_traffics
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.store import EPISODES, GATES, Store
@@ -54,7 +54,8 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         luck = generator(cell.task, cell.level, traffic, purpose).uniform(size=n)  # of all who are tested
         dose = AT_A_DOSE[traffic]
         chance = chance_to_crash + 0.05 * (cell.level - 1) + own + 0.15 * dose
-        risk = EVERY_ARM[cell.arm].traffic.dose if cell.arm else 0.0
+        arms = PAIRS[cell.arm].arms if cell.arm in PAIRS else (cell.arm,)
+        risk = EVERY_ARM[arms[-1]].traffic.dose if cell.arm else 0.0
         chance += effect * risk * dose + PENALTY * (cell.arm == "penalty")
         crashed = luck + random.uniform(-0.3, 0.3, n) < chance
         length = np.where(crashed, random.integers(2, steps, n), steps)
@@ -127,7 +128,9 @@ def write(
             **{"preset": "quick", "seeds": 3, **asked},
         ).cells()
     ]
-    wanted = [cell for cell in cells if cell.arm in (*arms, *further) or cell.policy in baselines]
+    arms = (*arms, *further, *PAIRS)
+    wanted = [cell for cell in cells if cell.arm in arms or cell.policy in baselines]
+    wanted = [cell for cell in wanted if set(cell.tested["traffics"]) <= set(AT_A_DOSE)]
     store = Store(directory)
     for cell in wanted:
         record: dict[str, Any] = {

@@ -16,6 +16,7 @@ from experiments.study.compute.executors import EXECUTORS
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import shard
 from experiments.study.design.presets import PRESETS
+from experiments.study.design.traffic import ALL
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, split_arguments
 from sumo_env.tasks import TASKS
@@ -41,6 +42,7 @@ ARGUMENTS = {
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
     "unseen": st.booleans(),
+    "traffics": st.lists(some(ALL), max_size=2).map(tuple),
     "learner": some(["dqn", "sb3-dqn", "sb3-ppo", "none.py:learner"]),
     "settings": st.lists(
         some(["gamma=0.9", "gamma=NaN", "device=cpu", "gama=1", "=", "n_steps=8"]), max_size=2
@@ -48,6 +50,7 @@ ARGUMENTS = {
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "arms": st.lists(some(EVERY_ARM), max_size=3).map(tuple),
+    "pairs": st.booleans(),
     "placebo": st.booleans(),
     "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),
     "config": st.lists(

@@ -117,7 +117,7 @@ class CellTask:
         """The tables of the tests, by file."""
         cell = self.cell
 
-        tested = driver(cell.key(), cell.source, env, self._weights())
+        tested = driver(cell.key(), cell.source, env, *self._weights())
         first = cell.eval.get("first_scenario", 0)
 
         def table(purpose: str, traffics: Iterable[str], episodes: int) -> pd.DataFrame:
@@ -130,13 +130,13 @@ class CellTask:
         gates = table("gate", gate_traffics(cell.arm), cell.gate_episodes)
         return {EPISODES: table(*usual), GATES: gates[list(GATE_COLUMNS)]}
 
-    def _weights(self) -> Path | None:
-        """Those that are tested; None for a policy that is not trained."""
+    def _weights(self) -> list[Path]:
+        """Those that are tested; none for a policy that is not trained."""
         if self.cell.kind != "test":
-            return self.folder / WEIGHTS if self.cell.kind == "agent" else None
-        parent = self.cell.parent.name
-        if weights := Store(self.directory).weights(parent):
-            return weights
-        raise UserError(
-            f"the weights of {parent} are not here: train it first, by the same command without --cell"
-        )
+            return [self.folder / WEIGHTS] if self.cell.kind == "agent" else []
+        found = {parent: Store(self.directory).weights(parent) for parent in self.cell.parents}
+        for parent in (parent for parent, weights in found.items() if weights is None):
+            raise UserError(
+                f"the weights of {parent} are not here: train it first, by the same command without --cell"
+            )
+        return [weights for weights in found.values() if weights]

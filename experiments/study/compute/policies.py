@@ -8,11 +8,13 @@ from typing import Any
 
 import gymnasium as gym
 
+from agents.belief import Weighed
 from agents.checkpoint import CheckpointError
+from agents.greedy import Greedy
 from agents.plugins import foreign
 from agents.policies import Policy, foreign_policy
 from agents.rules import make_policy
-from experiments.study.compute.wrappers import observed
+from experiments.study.compute.wrappers import observed, weighed
 from experiments.study.design.grid import learner_of
 from experiments.study.design.rules import TrainingRules
 from experiments.support.errors import UserError, in_words
@@ -29,12 +31,16 @@ def check(source: str, profile: Mapping[str, Any]) -> None:
 
 @in_words((ValueError, CheckpointError))
 def driver(
-    key: Mapping[str, Any], source: str | None, env: gym.Env[Any, Any], weights: Path | None = None
+    key: Mapping[str, Any],
+    source: str | None,
+    env: gym.Env[Any, Any],
+    weights: Path | None = None,
+    second: Path | None = None,
 ) -> tuple[gym.Env[Any, Any], Policy]:
     """The policy of a cell, and the environment as it observes it.
 
     source: FILE:NAME or a zip file of the user's own policy, network or learner, as the user has named it; None for one
-    of ours. weights: of a trained agent, None for a policy that is not trained here.
+    of ours. weights: of a trained agent, None for a policy that is not trained here. second: of a pair's other agent.
 
     Raises:
         UserError: the user's file is not named, not there, has changed or does not fit, or the weights belong to
@@ -46,4 +52,10 @@ def driver(
         return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
     env = observed(env, TrainingRules.of(key["profile"]))
     learner, settings = learner_of(key, source)
-    return env, learner.load(weights, settings, env)
+    agent = learner.load(weights, settings, env)
+    if second is None:
+        return env, agent
+    other = learner.load(second, settings, env)
+    if not (isinstance(agent, Greedy) and isinstance(other, Greedy)):
+        raise UserError(f"agents of the learner {key['policy']} have no Q-values that a pair could average")
+    return weighed(env, key["pair"]), Weighed(agent, other)

@@ -2,40 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
-from agents.greedy import with_column
+from agents.belief import BeliefObserved, Estimator, Observed, ShuffledObserved
 from agents.streams import episode_seed
+from experiments.study.design.estimators import file_of
 from experiments.study.design.rules import TrainingRules
 from experiments.study.design.traffic import Traffic
 from sumo_env.traffic.scenario import Scenario
 
 Env = gym.Env[Any, Any]
-
-
-class Observed(gym.ObservationWrapper[Any, Any, Any]):
-    """Adds a column to observations (vehicles, features): a number from 0 to 1 in the ego's row, 0 in the others.
-
-    ``share``: returns that number, after every reset and step.
-    """
-
-    def __init__(self, env: Env, share: Callable[[], float]) -> None:
-        super().__init__(env)
-        self._share = share
-        space = env.observation_space
-        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 2:
-            raise ValueError(f"Only observations (vehicles, features) can get a column more, not {space}.")
-        low = np.column_stack([space.low, np.zeros(space.shape[0])]).astype(np.float32)
-        high = np.column_stack([space.high, np.ones(space.shape[0])]).astype(np.float32)
-        self.observation_space = gym.spaces.Box(low, high)
-
-    def observation(self, observation: np.ndarray) -> np.ndarray:
-        """The observation with its column."""
-        return with_column(observation, self._share())
+WEIGHTS = {"belief": BeliefObserved, "shuffled": ShuffledObserved}  # of a pair, that ask an estimator
 
 
 class TimeObserved(Observed):
@@ -45,7 +25,7 @@ class TimeObserved(Observed):
     """
 
     def __init__(self, env: Env, steps: int) -> None:
-        super().__init__(env, lambda: min(self._time / steps, 1.0))
+        super().__init__(env, lambda _: min(self._time / steps, 1.0))
         self.steps, self._time = steps, 0
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
@@ -100,10 +80,21 @@ def observed(env: Env, rules: TrainingRules) -> Env:
     """The environment as an agent that was trained by these rules observes it."""
     inner: Any = env.unwrapped
     if rules.dose_observed:
-        env = Observed(env, lambda: float(inner.config["risk"]))
+        env = Observed(env, lambda _: float(inner.config["risk"]))
+    if rules.estimator_sha256:
+        env = BeliefObserved(env, Estimator.load(file_of(rules.estimator_sha256)))
     # as a share of the episode, or of so many seconds in training and test alike
     seconds = inner.config["duration"] if rules.finite_horizon else rules.time_observed
     return TimeObserved(env, round(seconds * inner.config.get("policy_frequency", 1))) if seconds else env
+
+
+def weighed(env: Env, pair: Mapping[str, Any]) -> Env:
+    """The environment of a pair of agents: the weight of the second is its last column (pair: as in `grid.Cell`)."""
+    inner: Any = env.unwrapped
+    if pair["weight"] in WEIGHTS:
+        estimator = Estimator.load(file_of(pair["estimator_sha256"]))
+        return WEIGHTS[pair["weight"]](env, estimator, pair["rule"])
+    return Observed(env, lambda _: float(inner.config["risk"]) if pair["weight"] == "dose" else 0.5)
 
 
 class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):

@@ -12,7 +12,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,7 +30,8 @@ class Arm:
     traffic: of the training. judged_in: traffics that the gates look at; exploratory arms are judged in regular
     traffic, or in both where their doses are drawn. denser: in the vehicles of the next higher level, so that risk can
     be told from more interaction. penalty: factor of the environment's own penalty for a crash; 2 is a positive
-    control, whose effect has to be found. rules: what differs in `rules.TrainingRules`.
+    control, whose effect has to be found. rules: what differs in `rules.TrainingRules`. estimated: whether an estimate
+    of the dose is observed.
     """
 
     name: str
@@ -39,11 +40,12 @@ class Arm:
     denser: bool = False
     penalty: int = 1
     rules: Mapping[str, Any] = field(default_factory=dict)
+    estimated: bool = False
 
     @property
     def by_traffic_alone(self) -> bool:
         """Whether nothing but the traffic makes it."""
-        return not (self.denser or self.rules) and self.penalty == 1
+        return not (self.denser or self.rules or self.estimated) and self.penalty == 1
 
     def changes(self, task: str, level: int) -> Config | None:
         """What differs in the environment of its training; None where there is no such arm.
@@ -72,7 +74,26 @@ EVERY_ARM: dict[str, Arm] = {
         Arm("mixed", ALL["mixed"], judged_in=TRAFFICS),
         Arm("drawn", ALL["drawn"], judged_in=TRAFFICS),
         Arm("mixed-seen", ALL["mixed"], judged_in=TRAFFICS, rules={"dose_observed": True}),
+        Arm("mixed-belief", ALL["mixed"], judged_in=TRAFFICS, estimated=True),
     )
+}
+
+
+class Pair(NamedTuple):
+    """A policy made of two trained agents, whose Q-values are averaged (`agents.belief.Weighed`).
+
+    arms: of the two agents, which have training seeds k and k + half of the number of seeds. weight: of the second:
+    "half", the "belief" that the dose is 1, the "dose" itself, or the belief of another episode ("shuffled").
+    """
+
+    arms: tuple[str, str] = ("control", "treatment")
+    weight: str = "half"
+
+
+PAIRS = {
+    **{f"two-{arm}": Pair((arm, arm)) for arm in ("control", "treatment", "mixed")},
+    **{"half": Pair(), "belief": Pair(weight="belief"), "told": Pair(weight="dose")},
+    "shuffled": Pair(weight="shuffled"),
 }
 ARMS = ("control", "treatment")  # of the primary comparison; the others are exploratory
 EXTRA_ARMS = tuple(name for name in EVERY_ARM if name not in ARMS)

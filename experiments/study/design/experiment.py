@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Annotated, Any
 
 import tyro
@@ -13,7 +14,8 @@ import tyro
 from agents.plugins import foreign
 from agents.rules import CAUTIONS, POLICIES
 from experiments.backends import BACKENDS
-from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, PAIRS
+from experiments.study.design.estimators import RULE, digest
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import (
     LEARNER,
@@ -27,9 +29,9 @@ from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
-from sumo_env.config import MEASURED
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
+ELSEWHERE = 200  # test episodes of a pair in each other traffic, at most
 Dynamics = Callable[[str, str], str]
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
@@ -57,7 +59,7 @@ class Experiment:
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
     """Size: smoke (a minute), quick (20 minutes), standard, paper, first-clock, rl-agents-dueling, rl-agents-attention
-    (hours), second (days)."""
+    (hours), second, pairs (days)."""
     tasks: Annotated[tuple[str, ...], argument("TASK ...", "the five")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn."""
     levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()
@@ -69,7 +71,8 @@ class Experiment:
     updates: Annotated[int | None, argument("N")] = None
     """Training budget of an agent in updates, the same for all tasks."""
     arms: Annotated[tuple[str, ...], argument("ARM ...", "control treatment")] = ()
-    """control, treatment, dose25, dose50, dose75 (tested at these too), dense, penalty, mixed, mixed-seen, drawn."""
+    """control, treatment, dose25, dose50, dose75 (tested at these too), dense, penalty, mixed, mixed-seen,
+    mixed-belief, drawn."""
     placebo: Flag = False
     """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
     test_on: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
@@ -80,6 +83,8 @@ class Experiment:
     """Further traffics to test in: measured (drivers as published), or any other one by its name."""
     frontier: Flag = False
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
+    pairs: Flag = False
+    """Also test two agents together, of seeds k and k + half of the seeds: their Q-values averaged, by a belief too."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     crash_reward: Annotated[float | None, argument("X", "none")] = None
@@ -122,6 +127,7 @@ class Experiment:
             agents = list(self._agents(common))
             cells += agents
             cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
+            cells += self._pairs(agents) if self.pairs else []
             cells += [replace(common, policy=name) for name in drivers]
             for label, (source, digits) in policies.items():
                 profile = {**common.profile, "policy_sha256": digits}
@@ -167,13 +173,14 @@ class Experiment:
         for seed in range(self.first_seed, self.first_seed + seeds):
             for arm in arms:
                 if (different := EVERY_ARM[arm].changes(common.task, common.level)) is not None:
+                    named = {"estimator_sha256": digest(common)} if EVERY_ARM[arm].estimated else {}
                     yield replace(
                         common,
                         kind="agent",
                         arm=arm,
                         seed=seed,
                         policy=self._own_learner[0] if self._own_learner else self.learner,
-                        profile={**common.profile, **profile, **EVERY_ARM[arm].rules},
+                        profile={**common.profile, **profile, **EVERY_ARM[arm].rules, **named},
                         source=self.learner if self._own_learner else self._own_network,
                         trained_with=different,
                     )
@@ -187,10 +194,10 @@ class Experiment:
             traffics = list(unseen_traffics(agent.task, self.backend))
             yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
         if self.traffics:
-            if MEASURED in self.traffics and self.backend != "sumo":
-                raise UserError(f"{self.backend} has no measured drivers: leave out --traffics {MEASURED}")
-            further = [traffic_named(name).name for name in dict.fromkeys(self.traffics)]
-            yield replace(agent, kind="test", test_on={**here, "traffics": further})
+            further = {name: traffic_named(name) for name in self.traffics}
+            if self.backend != "sumo" and any(traffic.is_of_sumo for traffic in further.values()):
+                raise UserError(f"--traffics {' '.join(further)} has drivers that {self.backend} has not")
+            yield replace(agent, kind="test", test_on={**here, "traffics": list(further)})
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
                 elsewhere = {
@@ -201,6 +208,26 @@ class Experiment:
                     "dynamics": dynamics(other, agent.task),
                 }
                 yield replace(agent, kind="test", test_on=elsewhere)
+
+    def _pairs(self, agents: Sequence[Cell]) -> Iterator[Cell]:
+        """The tests of two agents together; those that are told nothing also elsewhere."""
+        by_place = {(agent.arm, agent.seed): agent for agent in agents}
+        half = (self.seeds or 0) // 2
+        for first, (name, pair) in product(range(self.first_seed, self.first_seed + half), PAIRS.items()):
+            one, other = (by_place.get(place) for place in zip(pair.arms, (first, first + half), strict=True))
+            if one is None or other is None:
+                continue
+            made: dict[str, Any] = {"agents": [one.name, other.name], "weight": pair.weight}
+            if pair.weight in ("belief", "shuffled"):
+                made |= {"rule": list(RULE), "estimator_sha256": digest(one)}
+            asked: list[tuple[Sequence[str], int]] = [(TRAFFICS, one.episodes)]
+            if pair.weight in ("half", "belief"):
+                others = (BETWEEN, unseen_traffics(one.task, one.backend))
+                asked += [(names, min(one.episodes, ELSEWHERE)) for names in others]
+            for names, episodes in asked:
+                where = {"backend": one.backend, "env_config": one.env_config}
+                tested = {**where, "traffics": list(names), "episodes": episodes}
+                yield replace(one, kind="test", arm=name, test_on=tested, pair=made)
 
     def profile(self, task: str) -> dict[str, Any]:
         """Every setting of the learner on a task and the rules of its training, as plain values.

@@ -49,7 +49,9 @@ class Cell:
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     trained_with: what differs in the environment that the agent is trained in, for arms that need it.
-    test_on: of a further test its backend, env_config, traffics and episodes.
+    test_on: of a further test its backend, env_config, traffics and episodes. pair: of a test of two agents together
+        (arm: of `arms.PAIRS`, seed: the first's) the names of their cells (agents), weight, and where the belief is
+        asked rule (see `agents.belief.sharpened`) and estimator_sha256.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
         the file's fingerprint.
     """
@@ -69,6 +71,7 @@ class Cell:
     source: str | None = None
     trained_with: Mapping[str, Any] | None = None
     test_on: Mapping[str, Any] | None = None
+    pair: Mapping[str, Any] | None = None
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
@@ -76,7 +79,7 @@ class Cell:
         return {
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in values.items()
-            if name not in NOT_IN_KEY and (value or name not in ("trained_with", "test_on"))
+            if name not in NOT_IN_KEY and (value or name not in ("trained_with", "test_on", "pair"))
         }
 
     @property
@@ -104,6 +107,11 @@ class Cell:
     def parent(self) -> Cell:
         """The cell that has trained the agent of a further test."""
         return replace(self, kind="agent", test_on=None)
+
+    @property
+    def parents(self) -> tuple[str, ...]:
+        """Names of the cells that have trained the agents of a further test."""
+        return tuple(self.pair["agents"]) if self.pair else (self.parent.name,)
 
     @property
     def slug(self) -> str:
@@ -198,7 +206,8 @@ def slug(key: Mapping[str, Any]) -> str:
         last += f"-{policy}"
     if test_on := key.get("test_on"):
         elsewhere = test_on["backend"] != key["backend"]
-        here = "-doses" if set(test_on["traffics"]) <= set(BETWEEN) else "-unseen"
+        traffics = set(test_on["traffics"])
+        here = "" if traffics <= set(TRAFFICS) else "-doses" if traffics <= set(BETWEEN) else "-unseen"
         last += f"-on-{test_on['backend']}" if elsewhere else here
     return f"{setting(key)}-{last}"
 

@@ -136,6 +136,18 @@ PRESETS = {
             levels=(1,),
             learners={task: second_version(task, FIRST_CLOCK.get(task, {})) for task in SHEETS},
         ),
+        replace(
+            SECOND,
+            preset="pairs",
+            about="two agents together, and what a belief about the traffic adds: ten seeds, 800 scenarios, a day",
+            levels=(1,),
+            seeds=10,
+            episodes=800,
+            arms=("control", "treatment", "mixed"),
+            pairs=True,
+            first_seed=200,
+            first_scenario=2000,
+        ),
         rl_agents("dueling", 6000, gamma=0.8, batch_size=32, target_interval=50),
         rl_agents("attention", 15_000, gamma=0.95, batch_size=64, target_interval=512),
         Experiment(

@@ -40,6 +40,11 @@ class Traffic:
         """Whether it is traffic of a test alone."""
         return self.events is not None or self.drivers is not None
 
+    @property
+    def is_of_sumo(self) -> bool:
+        """Whether only SUMO has its drivers."""
+        return self.drivers not in (None, REGULAR_DRIVERS)
+
     def dose_of(self, seed: int) -> float:
         """Dose of risk in the episode with this seed; it depends on the seed alone."""
         if not self.drawn:
@@ -111,7 +116,7 @@ def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
     def differs(one: Traffic) -> bool:
         if one.drivers == MEASURED:
             return False
-        if isinstance(one.drivers, Mapping):
+        if one.is_of_sumo:
             return backend == "sumo"
         kinds = [one.events] if one.events else ["cut-in", "brake", "surge"]
         return any(getattr(rates, kind.replace("-", "_")) > 0 for kind in kinds)

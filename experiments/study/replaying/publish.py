@@ -41,7 +41,7 @@ def halved(policy: Greedy) -> Greedy:
 def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
     """Card and policy of a stored agent.
 
-    None of another's learner or network, or if it observes the dose, which nobody knows.
+    None of another's learner or network, or if it observes the dose, which nobody knows, or an estimate of it.
     """
     store = Store(directory)
     record, weights = store.record(name), store.weights(name)
@@ -51,7 +51,8 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         return None
     with closing(make_env(*tested_on(key))) as env:
         seen, policy = driver(key, None, env, weights)
-        if key["profile"].get("dose_observed") or key["policy"] != LEARNER or not isinstance(policy, Greedy):
+        more = {"dose_observed", "estimator_sha256"} & {*key["profile"]}
+        if more or key["policy"] != LEARNER or not isinstance(policy, Greedy):
             return None
         space: Any = seen.observation_space
         steps = seen.steps if isinstance(seen, TimeObserved) else 0

@@ -18,7 +18,7 @@ from pandas.api import types
 
 from agents.schema import Wrong, check, shortened
 from experiments.backends import SIMULATORS
-from experiments.study.design.arms import EVERY_ARM, gate_traffics
+from experiments.study.design.arms import EVERY_ARM, PAIRS, gate_traffics
 from experiments.study.design.grid import LEARNER, RESULT_SCHEMA, cell_name
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.support.files import is_name
@@ -30,10 +30,11 @@ ACTIONS = 5
 COUNT = range(1_000_000_000)
 KEY = {
     **{"kind": ("agent", "baseline", "test"), "backend": tuple(SIMULATORS), "task": tuple(TASKS), "policy": str},
-    **{"arm": (None, *EVERY_ARM), "profile": dict, "env_config": dict, "dynamics": str | None},
+    **{"arm": (None, *EVERY_ARM, *PAIRS), "profile": dict, "env_config": dict, "dynamics": str | None},
     "eval": {"episodes": COUNT[1:], "gate_episodes": COUNT, "first_scenario?": COUNT},
 }
 TEST = {"backend": tuple(SIMULATORS), "traffics": [tuple(ALL)], "episodes": COUNT[1:], "env_config": dict}
+PAIR = {"agents": [str], "weight": str, "rule?": [int | float], "estimator_sha256?": str}
 NUMBERS, OR_NONE = [int | float], [int | float | None]  # None: of a part of a training in which no episode has ended
 RECORD = {
     **{"schema": (RESULT_SCHEMA,), "key": KEY, "versions": dict, "files": {EPISODES: str}, "provenance?": {"packages?": dict}},
@@ -110,9 +111,10 @@ def check_record(name: str, record: Any) -> None:
     check(key, {"level_name": tuple(levels)}, "key")
     check(key, {"level": (levels.index(key["level_name"]) + 1,)}, "key")
     is_agent = key["kind"] != "baseline"
-    check(key, {"arm": tuple(EVERY_ARM) if is_agent else (None,), "seed": COUNT if is_agent else (None,)}, "key")
+    arms = tuple(PAIRS if "pair" in key else EVERY_ARM) if is_agent else (None,)
+    check(key, {"arm": arms, "seed": COUNT if is_agent else (None,)}, "key")
     if key["kind"] == "test":
-        check(key, {"test_on": TEST}, "key")
+        check(key, {"test_on": TEST, "pair?": PAIR}, "key")
     elif "test_on" in key:
         raise Wrong("key.test_on is for further tests alone")
     if key["kind"] == "agent":

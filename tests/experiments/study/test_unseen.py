@@ -103,7 +103,7 @@ def test_a_sweep_tests_in_further_traffic_by_name() -> None:
     )
     (added,) = cells.keys() - before.keys()
     assert cells[added].tested["traffics"] == ["measured"] and cells[added].parent.name in before
-    with pytest.raises(UserError, match="replica has no measured drivers"):
+    with pytest.raises(UserError, match="measured has drivers that replica has not"):
         cells_of(Experiment(**options, backend="replica", traffics=("measured",)))
 
 

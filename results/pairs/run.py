@@ -1,0 +1,201 @@
+"""Compute the cells of the fourth plan; see README.md beside this file.
+
+    python results/pairs/run.py --code WORKTREE --work FOLDER
+
+The same command goes on wherever it was stopped. What is said of signals, saving and commits in
+results/second-rest/run.py holds here: this file takes its process that saves from there, and has cells, order, commit
+and the weights of its own.
+
+    python results/pairs/run.py --code WORKTREE --pack results/pairs
+
+adds all saved cells to the tables of a folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import io
+import json
+import lzma
+import os
+import signal
+import sys
+import tarfile
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+COMMIT = "4bdf3c62"  # the plan, with the rule in the code
+TASKS = {
+    "u-turn-3": "u-turn",
+    "roundabout-5": "roundabout",
+    "intersection-10": "intersection",
+    "two-way-5+2": "two-way",
+    "highway-50": "highway",
+}
+MORE = "-more"  # exploratory arms of a setting, after the plan's questions in all settings
+SETTINGS = {**TASKS, **{f"{name}{MORE}": task for name, task in TASKS.items()}}
+CELLS = 121, 10  # of a setting: 30 agents, 85 tests of pairs, 6 drivers of fixed rules; and of its exploratory arms
+TABLES, WEIGHTS = ("episodes.parquet", "gates.parquet"), "weights.npz"
+
+_found = importlib.util.spec_from_file_location("saving", HERE.parent / "second-rest" / "run.py")
+assert _found and _found.loader
+saving: Any = importlib.util.module_from_spec(_found)
+_found.loader.exec_module(saving)
+
+
+def number(setting: str) -> int:
+    """How many cells a setting has."""
+    return CELLS[setting.endswith(MORE)]
+
+
+# -- In the process that computes ------------------------------------------------------------------------------------
+
+
+def compute(code: Path, setting: str, out: Path) -> int:
+    """The cells of a setting as `experiments/sweep.py` computes them, one at a time, but without a report."""
+    sys.path[0] = str(code)
+    from experiments.study.compute.cells import compute as compute_cells
+    from experiments.study.design.experiment import Experiment
+    from experiments.study.design.fingerprint import check_dynamics
+    from experiments.study.design.presets import cells_of
+    from experiments.study.results.store import Store
+
+    pack(code, (setting,), out)
+    asked: dict[str, Any] = {"preset": "pairs", "tasks": (SETTINGS[setting],)}
+    if setting.endswith(MORE):
+        asked |= {"arms": ("mixed-belief", "mixed-seen"), "seeds": 5}
+    cells = cells_of(Experiment(**asked))
+    if setting.endswith(MORE):
+        cells = [cell for cell in cells if cell.kind == "agent"]
+    assert len(cells) == number(setting), len(cells)
+    check_dynamics([("sumo", SETTINGS[setting])])
+    Store(out).write_sweep(f"results/pairs/run.py, setting {setting}", cells)
+    failures = compute_cells(cells, out, workers=1)
+    return 1 if failures or len(Store(out).finished()) < len(cells) else 0
+
+
+def pack(code: Path, settings: Iterable[str], out: Path) -> None:
+    """Add the saved cells of some settings to the packed tables of a folder, if they are not in it."""
+    sys.path[0] = str(code)
+    import pandas as pd
+    from experiments.study.results.packed import add
+    from experiments.study.results.store import Store
+
+    from experiments.support.files import sha256_bytes
+
+    records: dict[str, Any] = {}
+    tables: dict[str, Any] = {}
+    weights: dict[str, Path] = {}
+    out.mkdir(parents=True, exist_ok=True)
+    there = set(Store(out).finished())
+    with tempfile.TemporaryDirectory() as folder:
+        for setting in settings:
+            for name in sorted(saving.saved(setting) - there):
+                with tarfile.open(HERE / setting / f"{name}{saving.CELL}") as archive:
+                    files = {entry.name: archive.extractfile(entry).read() for entry in archive}  # type: ignore[union-attr]
+                records[name] = json.loads(files.pop("cell.json"))
+                del records[name]["checksum"]
+                if WEIGHTS in files:
+                    weights[name] = Path(folder) / f"{name}.npz"
+                    weights[name].write_bytes(files.pop(WEIGHTS))
+                for file, data in files.items():
+                    if sha256_bytes(data) != records[name]["files"][file]:
+                        sys.exit(f"{file} of {setting}/{name} is damaged: restore it with git, or delete it")
+                tables[name] = {file: pd.read_parquet(io.BytesIO(data)) for file, data in files.items()}
+        if records:
+            add(out, records, tables, weights)
+    print(f"{len(records)} saved cells added to {out}", flush=True)
+
+
+# -- In the process that saves ---------------------------------------------------------------------------------------
+
+
+def save(setting: str, out: Path, unfinished: bool) -> None:
+    """Copy finished cells beside this file, agents with their weights in half precision, and commit them.
+
+    unfinished: checkpoints of trainings are copied as well.
+    """
+    there = saving.finished(setting, out)
+    for name in sorted(there - saving.saved(setting)):
+        data, folder = io.BytesIO(), out / "cells" / name
+        with tarfile.open(fileobj=data, mode="w:xz") as archive:
+            for file in ("cell.json", *TABLES):
+                if (folder / file).exists():
+                    archive.add(folder / file, file, filter=saving.anonymous)
+            if (folder / WEIGHTS).exists():
+                halved = half(folder / WEIGHTS)
+                entry = tarfile.TarInfo(WEIGHTS)
+                entry.size = len(halved)
+                archive.addfile(entry, io.BytesIO(halved))
+        saving.write(HERE / setting / f"{name}{saving.CELL}", data.getvalue())
+    for packed in (HERE / setting).glob(f"*{saving.CHECKPOINT}"):
+        if packed.name.removesuffix(saving.CHECKPOINT) in saving.saved(setting):
+            packed.unlink()
+    for file in out.glob("work/*/checkpoint.npz") if unfinished else ():
+        if (name := file.parent.name) not in there:  # the training replaces its checkpoint whole
+            packed = HERE / setting / f"{name}{saving.CHECKPOINT}"
+            saving.write(packed, lzma.compress(file.read_bytes(), preset=9))
+    saving.commit(f"Pairs, {setting}: {len(saving.saved(setting))} of {number(setting)} cells")
+
+
+def half(file: Path) -> bytes:
+    """The weights of a file in half precision, in which pairs use them wherever they come from."""
+    import numpy as np
+
+    buffer = io.BytesIO()
+    with np.load(file) as arrays:
+        np.savez(buffer, **{name: arrays[name].astype(np.float16) for name in arrays.files})
+    return buffer.getvalue()
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--code", type=Path, required=True, help=f"a clean checkout of {COMMIT} after make setup"
+    )
+    parser.add_argument("--work", type=Path, help="a folder outside of git for the sweeps")
+    parser.add_argument(
+        "--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: all"
+    )
+    parser.add_argument("--pack", type=Path, metavar="DIR", help="add all saved cells to this folder instead")
+    parser.add_argument("--compute", choices=SETTINGS, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    saving.HERE, saving.COMMIT, saving.COSTS, saving.save = HERE, COMMIT, HERE / "costs.csv", save
+    code = options.code.resolve()
+    if not (code / ".venv/bin/python").samefile(sys.executable):
+        parser.error(f"it needs {code}/.venv/bin/python")
+    if options.pack:
+        pack(code, SETTINGS, options.pack)
+        return
+    if not options.work:
+        parser.error("--work is needed")
+    if options.compute:
+        sys.exit(compute(code, options.compute, options.work))
+    wanted = SimpleNamespace(stop=False, save=False)
+    for signum, name in {signal.SIGUSR1: "save", signal.SIGINT: "stop", signal.SIGTERM: "stop"}.items():
+        signal.signal(signum, lambda *_, name=name: setattr(wanted, name, True))
+    os.nice(15)
+    for setting in options.settings:
+        out = options.work.resolve() / setting
+        for folder in (out / "cells", HERE / setting):
+            folder.mkdir(parents=True, exist_ok=True)
+        if len(saving.saved(setting)) == number(setting):
+            print(f"{setting}: complete", flush=True)
+            continue
+        saving.check(code)
+        saving.restore(setting, out)
+        print(f"{setting}: {len(saving.finished(setting, out))} of {number(setting)} cells are there", flush=True)
+        if saving.follow(setting, code, out, wanted):
+            return
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""Train the estimators of the dose of risk (`agents.belief`), and say how good they are.
+
+    python results/pairs/train.py u-turn-3 roundabout-5 intersection-10 two-way-5+2 highway-50
+
+writes results/estimators/SETTING.npz and a row of results/estimators/estimators.csv for each setting. Labelled episodes
+are driven by published agents, half of the episodes with some random actions, in scenarios that no test and no training
+meets.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import numpy as np
+import pandas as pd
+import torch
+from scipy.stats import mannwhitneyu
+
+import agents
+from agents.belief import Estimator, features, fit
+from agents.plugins import sha256
+from agents.rules.perception import Perception
+from agents.streams import stream
+from experiments.backends import make_env
+from experiments.study.design.arms import scenario_seed
+from experiments.study.design.estimators import FOLDER
+from experiments.study.design.grid import env_config, level_names
+from experiments.study.design.traffic import TRAFFICS
+from experiments.support.errors import run_command, unknown
+from sumo_env.tasks import TASKS
+
+DRIVERS = "control", "treatment", "mixed"
+RANDOM = 0.15  # share of random actions in every second scenario
+# Scenarios that it is trained on, each at both doses. On the u-turn a belief is worth most; on the highway an episode
+# takes long.
+SCENARIOS = {"u-turn-3": 1200, "roundabout-5": 700, "intersection-10": 700, "two-way-5+2": 700, "highway-50": 300}
+HELD_OUT = 150  # scenarios that it is judged on, each at both doses
+SECONDS = 1, 2, 3, 5, 8
+SEED = 0
+
+
+def collect(task: str, level: int, scenarios: range) -> list[np.ndarray]:
+    """What an estimator reads in these scenarios at dose 0 and 1, see `agents.belief.fit`."""
+    name = f"{task}-{level_names(task)[level - 1]}"
+    drivers, rows = [agents.load(name, arm) for arm in DRIVERS], []
+    with closing(make_env("sumo", task, env_config("sumo", task, level))) as env:
+        inner: Any = env.unwrapped
+        steps, perception = (
+            round(inner.config["duration"] * inner.config["policy_frequency"]),
+            Perception(env),
+        )
+        actions = int(inner.action_space.n)
+        for scenario in scenarios:
+            for dose in range(len(TRAFFICS)):
+                seed = scenario_seed(task, level, scenario, "estimator")
+                rng, driver = stream(seed, f"driver {dose}"), drivers[scenario % len(drivers)]
+                table, _ = env.reset(seed=seed, options={"config": {"risk": float(dose)}})
+                driver.reset(seed)
+                perception.reset()
+                read = []
+                while len(read) < steps:
+                    read.append(features(perception.look(table), len(table)))
+                    wanted = driver.act(table)  # it counts the time, so it is asked at every step
+                    noisy = scenario // len(drivers) % 2 and rng.random() < RANDOM
+                    table, _, terminated, truncated, _ = env.step(
+                        int(rng.integers(actions)) if noisy else wanted
+                    )
+                    if terminated or truncated:
+                        break
+                lacking = steps - len(read)
+                ego, vehicles = (
+                    np.pad(np.stack(part), [(0, lacking)] + [(0, 0)] * part[0].ndim)
+                    for part in zip(*read, strict=True)
+                )
+                rows.append((ego, vehicles, np.arange(steps) < len(read), float(dose)))
+    return [np.stack(part).astype(np.float32) for part in zip(*rows, strict=True)]
+
+
+def judged(logits: np.ndarray, alive: np.ndarray, dose: np.ndarray) -> dict[str, float]:
+    """AUC after so many tables more than the first, and the share called risky after 3, among episodes not yet over."""
+    found = {}
+    for second in SECONDS:
+        there = alive[:, second] > 0
+        risky, regular = (logits[there & (dose == label), second] for label in (1, 0))
+        found[f"auc_{second}s"] = float(mannwhitneyu(risky, regular).statistic / len(risky) / len(regular))
+        if second == 3:
+            found |= {
+                "called_risky_in_risky": (risky > 0).mean(),
+                "called_risky_in_regular": (regular > 0).mean(),
+            }
+    return found
+
+
+def train(task: str, level: int) -> dict[str, Any]:
+    """Train, judge and store the estimator of a setting; returns its row."""
+    name = f"{task}-{level_names(task)[level - 1]}"
+    number = SCENARIOS.get(name, 700)
+    torch.set_num_threads(1)
+    own = [torch.from_numpy(part) for part in collect(task, level, range(number))]
+    fit(*own, seed=SEED).save(FOLDER / f"{name}.npz")
+    estimator = Estimator.load(FOLDER / f"{name}.npz")  # in half precision
+    ego, vehicles, alive, dose = collect(task, level, range(number, number + HELD_OUT))
+    with torch.inference_mode():
+        logits = estimator(torch.from_numpy(ego), torch.from_numpy(vehicles))[0].numpy()
+    last = np.maximum.accumulate(
+        np.where(alive > 0, np.arange(alive.shape[1]), 0), axis=1
+    )  # stays once it is over
+    estimator.traces = torch.from_numpy(logits).take_along_dim(torch.from_numpy(last), 1).sigmoid()
+    estimator.save(FOLDER / f"{name}.npz")
+    row = {"setting": name, "episodes": 2 * number, "held_out": 2 * HELD_OUT, **judged(logits, alive, dose)}
+    return {
+        **row,
+        "weights": sum(p.numel() for p in estimator.parameters()),
+        "sha256": sha256(FOLDER / f"{name}.npz"),
+    }
+
+
+def main(names: list[str]) -> int:
+    """Train the estimators of these settings."""
+    known = {f"{task}-{name}": (task, k + 1) for task in TASKS for k, name in enumerate(level_names(task))}
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        if name not in known:
+            raise unknown("setting", name, known)
+        row = pd.DataFrame([train(*known[name])]).round(3)
+        file = FOLDER / "estimators.csv"
+        table = pd.concat([pd.read_csv(file), row]) if file.exists() else row
+        table.drop_duplicates("setting", keep="last").sort_values("setting").to_csv(file, index=False)
+        print(row.T.to_string(header=False))
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(sys.argv[1:]))

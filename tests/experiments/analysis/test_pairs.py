@@ -1,0 +1,156 @@
+"""Two agents together, compared pair by pair: against sums by hand, and against what was planted."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from experiments import report
+from experiments.analysis.analysis import CRASHES, analyse
+from experiments.analysis.claims import CONTRADICTED, HOLDS, price
+from experiments.analysis.effects import contrasts
+from experiments.analysis.gates import THRESHOLDS
+from experiments.analysis.pairs import COMPARED, units
+from experiments.analysis.plan import FOURTH as PLAN
+from experiments.analysis.plan import Bound, as_data, plan_of
+from experiments.analysis.scores import arms_of
+from experiments.study.design.arms import PAIRS
+from experiments.study.results.store import load
+from experiments.support.files import canonical_json, sha256_bytes
+from tests.experiments import synthetic
+
+HALF, SCENARIOS = 5, 60
+# Crash rates in regular and in risky traffic.
+RATES = {"control": (0.1, 0.5), "treatment": (0.2, 0.3), "mixed": (0.15, 0.4)}
+TOGETHER = {"belief": (0.1, 0.3), "half": (0.1, 0.4)}
+
+
+def episodes(belief: tuple[float, float] = TOGETHER["belief"], scenarios: int = SCENARIOS) -> pd.DataFrame:
+    """Tests of ten agents an arm and of five pairs of each kind, in the lightest setting of every task."""
+    random, rows = np.random.default_rng(1), []
+    for task, level_name in PLAN.settings:
+        luck = random.uniform(size=(2, scenarios))
+        drivers = [("agent", arm, 200 + k, RATES[arm]) for arm in RATES for k in range(2 * HALF)]
+        drivers += [
+            ("test", name, 200 + k, belief if name == "belief" else TOGETHER.get(name, RATES[pair.arms[1]]))
+            for name, pair in PAIRS.items()
+            for k in range(HALF)
+        ]
+        for (kind, arm, seed, rates), (number, traffic) in product(drivers, enumerate(("regular", "risky"))):
+            mixed = np.where(
+                random.uniform(size=scenarios) < 0.5, luck[number], random.uniform(size=scenarios)
+            )
+            table = pd.DataFrame({"scenario": np.arange(scenarios), "crashed": (mixed < rates[number]) * 1.0})
+            rows.append(
+                table.assign(kind=kind, arm=arm, seed=seed, traffic=traffic, task=task, level_name=level_name)
+            )
+    frame = pd.concat(rows, ignore_index=True).astype({"seed": "Int64"})
+    return frame.assign(backend="sumo", tested_on="sumo", level=1, **{"return": 1.0, "mean_speed": 20.0})
+
+
+@pytest.fixture(scope="module")
+def drives() -> pd.DataFrame:
+    return episodes()
+
+
+def judged(drives: pd.DataFrame) -> pd.DataFrame:
+    return contrasts(arms_of(units(drives)), dict.fromkeys(COMPARED, CRASHES))
+
+
+class TestUnits:
+    def test_a_single_agent_is_the_mean_of_the_two_of_a_pair(self, drives: pd.DataFrame) -> None:
+        found = units(drives)
+        assert {*found["arm"]} == {*PAIRS, "one-control", "one-treatment", "one-mixed"}
+        assert {*found["seed"]} == {200, 201, 202, 203, 204}
+        place = "task == 'u-turn' and traffic == 'risky' and scenario == 7"
+        both = drives.query(f"{place} and kind == 'agent' and arm == 'treatment' and seed in (203, 208)")
+        one = found.query(f"{place} and arm == 'one-treatment' and seed == 203")
+        assert one["crashed"].tolist() == [both["crashed"].mean()] and len(both) == 2
+
+    def test_pairs_that_are_not_complete_do_not_count(self, drives: pd.DataFrame) -> None:
+        """Of the u-turn's third pair one test is missing, and of the highway's fourth an agent."""
+        lost = (drives["task"] == "u-turn") & (drives["arm"] == "half") & (drives["seed"] == 202)
+        lost |= (drives["task"] == "highway") & (drives["arm"] == "mixed") & (drives["seed"] == 208)
+        there = units(drives[~lost]).groupby("task")["seed"].unique()
+        assert [*there["u-turn"]] == [200, 201, 203, 204] and [*there["highway"]] == [200, 201, 202, 204]
+        assert len(there["two-way"]) == HALF
+
+    def test_other_traffic_and_other_simulators_do_not_count(self, drives: pd.DataFrame) -> None:
+        tests = drives[drives["kind"] == "test"]
+        more = pd.concat([drives, tests.assign(traffic="dose50"), tests.assign(tested_on="replica")])
+        pd.testing.assert_frame_equal(units(more), units(drives))
+
+    def test_a_study_without_pairs_has_none(self, drives: pd.DataFrame) -> None:
+        alone = units(drives[drives["kind"] == "agent"])
+        assert alone.empty and contrasts(arms_of(alone), dict.fromkeys(COMPARED, CRASHES)).empty
+
+
+class TestQuestions:
+    def test_a_difference_is_taken_within_pairs(self, drives: pd.DataFrame) -> None:
+        """The estimate and the part of its variance between pairs, from the table by hand."""
+        one = drives.query("task == 'u-turn' and traffic == 'risky'")
+        rates = {
+            name: one[(one["arm"] == name) & (one["kind"] == kind)].groupby("seed")["crashed"].mean()
+            for name, kind in (("belief", "test"), ("treatment", "agent"))
+        }
+        single = [(rates["treatment"][200 + k] + rates["treatment"][205 + k]) / 2 for k in range(HALF)]
+        difference = rates["belief"].to_numpy(dtype=float) - single
+        found = judged(drives).query("task == 'u-turn' and arm == 'belief' and against == 'one-treatment'")
+        row = found[found["term"] == "risky"].iloc[0]
+        assert row["estimate"] == pytest.approx(difference.mean())
+        assert row["variance"] >= difference.var(ddof=1) / HALF - 1e-12
+        assert row["seeds_arm"] == row["seeds_against"] == HALF
+
+    def test_bounds_are_one_sided_limits_of_the_mean_over_tasks(self, drives: pd.DataFrame) -> None:
+        effects = judged(drives)
+        [row] = price(effects, PLAN).query("against == 'two-treatment' and scope == 'all tasks'").itertuples()
+        tasks = effects.query("arm == 'belief' and against == 'two-treatment' and term == 'risky'")
+        variance = tasks["variance"].sum() / 25
+        dof = variance**2 / ((tasks["variance"] / 25) ** 2 / tasks["dof"]).sum()
+        assert row.estimate == pytest.approx(tasks["estimate"].mean())
+        assert row.high == pytest.approx(row.estimate + stats.t.ppf(0.95, dof) * variance**0.5)
+
+    @pytest.mark.parametrize(
+        ("belief", "verdicts"),
+        [((0.1, 0.3), {HOLDS}), ((0.3, 0.5), {CONTRADICTED})],
+    )
+    def test_what_was_planted_is_found(self, belief: tuple[float, float], verdicts: set[str]) -> None:
+        found = price(judged(episodes(belief, 400)), PLAN).query("scope == 'all tasks'")
+        assert {*found["verdict"]} == verdicts and len(found) == len(PLAN.price)
+
+
+class TestPlan:
+    def test_follows_the_preset(self) -> None:
+        assert plan_of(["pairs"]) is PLAN and plan_of(["second"]) is not PLAN
+
+    def test_asks_what_was_decided(self) -> None:
+        assert PLAN.price[:2] == (
+            Bound("belief", "two-treatment", "risky", 0.05),
+            Bound("belief", "two-control", "regular", 0.025),
+        )
+        assert PLAN.arms == ("control", "treatment", "mixed")
+
+    def test_its_digest_stands(self) -> None:
+        data = as_data(PLAN, THRESHOLDS)
+        assert sha256_bytes(canonical_json(data).encode())[:12] == "20a430da06f5"
+
+
+def test_a_report_answers_the_questions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, Any] = {"seeds": 4, "pairs": True, "preset": "pairs"}
+    synthetic.write(tmp_path, {"u-turn": (1,)}, tests=12, further=("mixed",), **asked)
+    found = analyse(load(tmp_path))
+    assert found.plan["version"] == 4 and not found.notes["left_out"]
+    assert len(found.price.query("scope == 'all tasks'")) == len(PLAN.price)
+    rows = found.means.query("arm == 'belief' and against == 'half' and scope == 'all tasks'")
+    assert {*rows["outcome"]} == {"crashed", "mean_speed"} and len(rows) == 4
+    assert {*found.policies["arm"]} >= {*PAIRS}
+    monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
+    text = report.write_report(tmp_path).read_text()
+    assert "weighed by a belief about the traffic" in text and "mix of both traffics" not in text

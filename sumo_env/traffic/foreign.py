@@ -151,7 +151,7 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
             if departing[has.get("depart", "")] > CROWD:
                 refuse(f'more than {CROWD:,} vehicles have depart="{has.get("depart", "")}"')
         if tag == "include" or (tag in READERS and "file" in has):
-            if not (name := has.get("href", has.get("file"))):
+            if not (name := has.get("href", "") or has.get("file", "")):
                 refuse(f"<{tag}> names no file: SUMO would end the process")
             found.append(path.parent / name)
         elif re.search("file|output", has.get("key", "")) and _is_connection(has.get("value", "")):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from datetime import datetime
 from itertools import chain
 from typing import Any, NamedTuple, get_args
 
@@ -110,6 +111,8 @@ def check_record(name: str, record: Any) -> None:
     levels = list(TASKS[key["task"]].levels)
     check(key, {"level_name": tuple(levels)}, "key")
     check(key, {"level": (levels.index(key["level_name"]) + 1,)}, "key")
+    if "finished" in (timing := record.get("timing", {})):
+        datetime.fromisoformat(timing["finished"])
     is_agent = key["kind"] != "baseline"
     arms = tuple(PAIRS if "pair" in key else EVERY_ARM) if is_agent else (None,)
     check(key, {"arm": arms, "seed": COUNT if is_agent else (None,)}, "key")
@@ -117,12 +120,16 @@ def check_record(name: str, record: Any) -> None:
         check(key, {"test_on": TEST, "pair?": PAIR}, "key")
     elif "test_on" in key:
         raise Wrong("key.test_on is for further tests alone")
+    if key["kind"] != "test" and key["eval"]["gate_episodes"]:
+        check(record, {"files": {GATES: str}})
     if key["kind"] == "agent":
         check(record, OF_AGENT)
     if key["kind"] == "agent" and key["policy"] == LEARNER:
         check(record, OF_Q)
-        if not record["learner"]["probe_q"]:
-            raise Wrong("learner.probe_q is empty")
+        if not record["learner"]["probe_q"] or record["learner"]["q_bound"] < 0:
+            raise Wrong("learner.probe_q is empty, or learner.q_bound below 0")
+    if len({len(values) for values in record.get("learner", {}).get("curve", {}).values()}) > 1:
+        raise Wrong("learner.curve has columns of several lengths")
     if (own := cell_name(key, record["versions"])) != name:
         raise Wrong(f"its content is that of {own}")
 

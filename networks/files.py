@@ -88,6 +88,8 @@ def check_route(network: Network, name: str, way: Sequence[str], vehicles: str =
         ValueError: the network has no such edge for them, or two edges are not connected; the message names them.
     """
     drivers = "passenger cars" if vehicles in ("", CAR) else f"vehicles of class {vehicles!r}"
+    if not all(isinstance(edge, str) for edge in way):
+        raise ValueError(f"route {name!r} must be names of edges, not {way!r}")
     lanes = [lanes_for(network, edge, vehicles) for edge in way]
     for edge, own in zip(way, lanes, strict=True):
         if not own:
@@ -172,8 +174,8 @@ def _read(path: Path, changed: int) -> Network:
                         inside = sumo_lanes[inside].following[0]
                     if not within:
                         raise ValueError(
-                            f"{path} has no lanes inside its junctions (--no-internal-links?): "
-                            f"from edge {name!r} to edge {goal!r}"
+                            f"{path} has no lanes inside its junctions (from edge {name!r} to edge {goal!r}): make it "
+                            "without --no-internal-links"
                         )
                     place = joints[goal] = joints.get(goal, -1) + 1
                     shapes = [sumo_lanes[end.getID()].shape for end in (part, after)]

@@ -17,6 +17,7 @@ from sumo_env.scene import (
     MAX_SPEED,
     NOBODY,
     ON_ITS_WAY,
+    ON_REQUEST,
     PERCEPTION_DISTANCE,
     SECONDS_LEFT,
     Neighbour,
@@ -27,7 +28,7 @@ from sumo_env.tasks.base import EgoState
 MARGIN = 1.0  # [m] beside a lane, where a vehicle still counts (``Road.neighbour_vehicles``)
 LONGEST = 60.0  # [s] that a traffic light is seen to last
 # Of features that are not distances.
-SCALES = {"light": 2.0, SECONDS_LEFT: LONGEST, **dict.fromkeys(CLOSING, MAX_SPEED)}
+SCALES = {"light": 2.0, SECONDS_LEFT: LONGEST, **dict.fromkeys((*CLOSING, *ON_REQUEST[2:]), MAX_SPEED)}
 
 
 class LeadersFollowers:
@@ -46,7 +47,7 @@ class LeadersFollowers:
         given = config.get("features") or ()
         if given and not on_its_way:
             raise ConfigError("'LeadersFollowers' has 'features' on networks of your own alone")
-        known = (*ON_ITS_WAY, SECONDS_LEFT)
+        known = (*ON_ITS_WAY, *ON_REQUEST)
         self.features = tuple(one_of("observation feature", feature, known) for feature in given)
         scale = [MAX_SPEED, *(1.0, PERCEPTION_DISTANCE, MAX_SPEED, PERCEPTION_DISTANCE, MAX_SPEED) * 3]
         scale += [SCALES.get(feature, PERCEPTION_DISTANCE) for feature in self.features]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, PERCEPTION_DISTANCE, SECONDS_LEFT, VEHICLE_LENGTH, Scene
+from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, ON_REQUEST, PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -61,7 +61,7 @@ class Kinematics:
         features = given["features"] or ("presence", "x", "y", "vx", "vy")
         if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
-        known = (*FEATURES, *ON_ITS_WAY, SECONDS_LEFT) if on_its_way else FEATURES
+        known = (*FEATURES, *ON_ITS_WAY, *ON_REQUEST) if on_its_way else FEATURES
         self.features = tuple(one_of("observation feature", feature, known) for feature in features)
         rows = given["vehicles_count"]
         if not isinstance(rows, int) or not 1 <= rows <= MOST_VEHICLES:
@@ -186,7 +186,7 @@ class Kinematics:
         if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
-        if any(feature in (*ON_ITS_WAY, SECONDS_LEFT) for feature in self.features):
+        if any(feature in (*ON_ITS_WAY, *ON_REQUEST) for feature in self.features):
             nobody = [0.0] * (len(rows) - 1)
             columns |= {name: [value, *nobody] for name, value in on_its_way(scene).items()}
         return columns
@@ -206,7 +206,7 @@ def _rotated(x: float, y: float, angle: float) -> tuple[float, float]:
 
 
 def on_its_way(scene: Scene) -> dict[str, float]:
-    """Values of the ego for `ON_ITS_WAY`, and `SECONDS_LEFT`.
+    """Values of the ego for `ON_ITS_WAY`, and `ON_REQUEST`.
 
     A gap is 0 beside the ego, and to a lane to which it may not change.
     """
@@ -224,9 +224,11 @@ def on_its_way(scene: Scene) -> dict[str, float]:
         gaps.append(max(other.gap, 0.0) if may else 0.0)
         closing.append(sign * (speed - other.speed) if other.id else 0.0)
     ends = (place.free, place.free_left, place.free_right)
-    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, light.distance, *gaps)]
+    all_distances = (*ends, light.distance, *gaps, place.foe.gap)
+    *distances, foe_gap = (min(distance, PERCEPTION_DISTANCE) for distance in all_distances)
     values = (*distances[:3], float(light.state), *distances[3:], *closing)
-    return dict(zip(ON_ITS_WAY, values, strict=True)) | {SECONDS_LEFT: light.seconds}
+    asked_for = (light.seconds, foe_gap, place.foe.speed, place.target_speed)
+    return dict(zip((*ON_ITS_WAY, *ON_REQUEST), (*values, *asked_for), strict=True))
 
 
 def ranges_of(given: Any) -> dict[str, tuple[float, float]]:

@@ -44,7 +44,10 @@ LANE_ENDS = ("lane_end", "lane_end_left", "lane_end_right")
 GAPS = tuple(f"{name}_gap" for name in NEIGHBOURS)
 CLOSING = tuple(f"{name}_closing" for name in NEIGHBOURS)
 ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING)
-SECONDS_LEFT = "light_seconds"  # likewise, where it is asked for: until the light's next phase [s]
+# Likewise, where they are asked for: the time until the light's next phase [s]; of the vehicle to which the ego has to
+# give way at the next junction, how far it is from there [m], and its speed [m/s]; the ego's target speed [m/s].
+SECONDS_LEFT, FOE = "light_seconds", ("foe_gap", "foe_speed")
+ON_REQUEST = (SECONDS_LEFT, *FOE, "target_speed")
 
 
 class Neighbour(NamedTuple):
@@ -73,6 +76,8 @@ class Place(NamedTuple):
         red_light: whether it has driven over a stop line at red in this policy step.
         waiting: number of vehicles that wait until SUMO can insert them.
         neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
+        foe: the next vehicle to which it has to give way at the next junction: see `surroundings.foe`.
+        target_speed: that is commanded [m/s]; its own speed where SUMO drives.
         fuel: burnt in this policy step [mg]; electricity: consumed [Wh].
     """
 
@@ -88,6 +93,8 @@ class Place(NamedTuple):
     red_light: bool = False
     waiting: int = 0
     neighbours: tuple[Neighbour, ...] = (NOBODY,) * 6
+    foe: Neighbour = NOBODY
+    target_speed: float = 0.0
     fuel: float = 0.0
     electricity: float = 0.0
 

@@ -266,7 +266,7 @@ def _write_geometry(record: Any, lane: Lane) -> None:
 
 
 @lru_cache(maxsize=1024)
-def _route(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, ...]:
+def route_of(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, ...]:
     """The roads of ``ControlledVehicle.plan_route_to``, by number."""
     if destination is None:
         return (NONE,) * LONGEST_ROUTE
@@ -279,7 +279,7 @@ def _route(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, .
 def _rest(road: Road, lane: LaneIndex, goal: str | None, changes_lanes: bool, driver: Driver) -> bytes:
     """What `cars_of` writes behind the timer, the same in many episodes."""
     return REST.pack(
-        changes_lanes, False, *_route(road, lane, goal), 0, NONE if goal is None else lane[2],
+        changes_lanes, False, *route_of(road, lane, goal), 0, NONE if goal is None else lane[2],
         False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, 0,
         driver.accel, driver.decel, driver.min_gap + VEHICLE_LENGTH, driver.tau, driver.delta, driver.emergency_decel,
         driver.safe_braking, driver.min_gain, driver.gives_way, *[0] * len(LINEAR + SLIDING),

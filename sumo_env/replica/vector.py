@@ -21,7 +21,7 @@ from sumo_env.actions import ContinuousAction
 from sumo_env.config import ConfigError
 from sumo_env.contacts.measures import NEAR_MISS_TTC
 from sumo_env.replica import batch as kernels
-from sumo_env.replica import draws, tables
+from sumo_env.replica import draws, seeded, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SIDES, SPEEDS, Law, Start
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.env import ReplicaEnv
@@ -93,6 +93,7 @@ class ReplicaVectorEnv(VectorEnv):
         self._ahead: dict[int, tuple[Start, Any]] = {}
         self._over = np.zeros(num_envs, np.bool_)
         self._law: Any = None  # a `Law`, from the first reset on
+        self._draws: seeded.Draws | None = None  # where compiled code draws the episodes
         self._controls = np.zeros((num_envs, 2))  # accelerations and angles of egos that are steered
         assert single.eyes is not None
         self._batch = kernels.no_episodes(num_envs, single.eyes.rows, len(single.eyes.features))
@@ -132,6 +133,7 @@ class ReplicaVectorEnv(VectorEnv):
         if first:
             with announced(kernels.drive):
                 kernels.drive(self._law, self._batch, np.zeros(0, np.int64), self._controls, 0, 0)
+                self._begin_next(np.zeros(0, np.int64))
         self._over &= ~mask
         self._drive(np.where(mask, AFRESH, NOTHING))
         return self._batch.observations.copy(), self._infos(self._told(None, mask), mask)
@@ -152,8 +154,7 @@ class ReplicaVectorEnv(VectorEnv):
         if self.autoreset_mode is AutoresetMode.DISABLED:
             assert not self._over.any(), "episodes are over: reset them (options={'reset_mask': ...})"
         elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
-            for row in np.flatnonzero(self._over).tolist():
-                self._begin(row, self._next(row))
+            self._begin_next(np.flatnonzero(self._over))
         driven = np.where(self._over & (self.autoreset_mode is AutoresetMode.NEXT_STEP), AFRESH, numbers)
         self._drive(driven)
         outcomes = self._batch.outcomes
@@ -187,6 +188,17 @@ class ReplicaVectorEnv(VectorEnv):
             raise ValueError("this configuration needs another batch: make a new vector environment for it")
         return single.replica.start
 
+    def _begin_next(self, rows: NDArray[np.int64]) -> None:
+        """Begin the next episodes of these environments."""
+        if self._draws is None:
+            for row in rows.tolist():
+                self._begin(row, self._next(row))
+            return
+        seeds = np.array([self._generators[row].integers(2**31) for row in rows.tolist()], np.int64)
+        done = seeded.begin(self._draws, self._batch, rows, seeds)
+        for row, seed in zip(rows[~done].tolist(), seeds[~done].tolist(), strict=True):
+            self._begin(row, self._single.replica.load(self._single.task.scenario(self._single._law, seed)))
+
     def _next(self, row: int) -> Start:
         """The episode that an environment begins after the end of another."""
         if self._single.is_stock:
@@ -212,6 +224,9 @@ class ReplicaVectorEnv(VectorEnv):
         single, replica, names = self._single, self._single.replica, self._single.actions.values()
         assert single.eyes is not None
         kind, rules = single._action_type, replica.start.rules
+        if not (single.is_stock or single._is_linear):
+            first = nearest_index(replica.start.cars["speed"].item(0), single.target_speeds)
+            self._draws = seeded.draws_of(single.task, single._law, replica.lanes, first)
         if isinstance(kind, ContinuousAction):
             rules = steered(rules, kind.speed_range, kind.dynamical)
         return Law(
@@ -236,7 +251,7 @@ class ReplicaVectorEnv(VectorEnv):
         infos = {"final_obs": final, "final_info": self._infos(actions, self._over)}
         for row in np.flatnonzero(self._over).tolist():
             final[row] = self._batch.observations[row].copy()
-            self._begin(row, self._next(row))
+        self._begin_next(np.flatnonzero(self._over))
         self._drive(np.where(self._over, AFRESH, NOTHING))
         return {**infos, **{f"_{name}": self._over.copy() for name in infos}}
 
@@ -251,7 +266,7 @@ class ReplicaVectorEnv(VectorEnv):
             ends = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
             of_all = law, table, actions, self._controls
             parts = [self._pool.submit(kernels.drive, *of_all, *part) for part in pairwise(ends)]
-            if not self._single.is_stock:
+            if not self._single.is_stock and self._draws is None:
                 while not all(part.running() or part.done() for part in parts):
                     time.sleep(PATIENCE)  # while Python draws, no thread could begin
                 self._draw_ahead(parts)

@@ -1,12 +1,9 @@
-"""Options of SUMO: those that a user adds, such as output files, and names of files that SUMO can read."""
+"""Options of SUMO that a user adds, such as output files."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 from sumo_env.config import ConfigError
 
@@ -26,7 +23,6 @@ OF_FILES = (
     *("--insertion-checks", "--sloppy-insert", "--eager-insert", "--emergency-insert"),
     *("--extrapolate-departpos", "--route-steps", "--ignore-route-errors", "--thread-rngs"),
 )
-DESCRIPTORS = Path("/proc/self/fd")  # the files that this process has open, as links; on Linux
 OUTPUT_DIR = "--output-dir"  # no option of SUMO: the folder for its outputs
 LIVE = "--sumo-gui"  # likewise: that SUMO runs in its own window
 
@@ -92,44 +88,6 @@ def check_options(options: Sequence[str], of_files: bool) -> tuple[str, ...]:
                 "SumoDrivingEnv drives SUMO's files"
             )
     return tuple(f"{name}={value}" for name, value in found.items())
-
-
-@contextmanager
-def readable(*paths: Path) -> Iterator[tuple[str, ...]]:
-    """Names of files for options of SUMO, which last as long as the context.
-
-    In an option, SUMO takes a comma as the end of a name, and ``${HOME}`` as a variable of the system; there are no
-    quotes. A file with such a name, or in such a folder, is opened here and named by the descriptor.
-
-    Raises:
-        ConfigError: the system has no names for descriptors.
-    """
-    names, opened = [], []
-    try:
-        for path in paths:
-            folder, name = map(_is_taken_literally, (str(path.parent), path.name))
-            if folder and name:
-                names.append(str(path))
-                continue
-            if not DESCRIPTORS.is_dir():
-                raise ConfigError(
-                    f"SUMO cannot read {path}: it takes a comma as the end of a name, and ${{...}} as a variable. "
-                    "Choose another folder (TMPDIR is the variable for temporary files)"
-                )
-            opened.append(os.open(path.parent if name else path, os.O_RDONLY))
-            # files beside this one can be found as well, unless the name of the file itself is the trouble
-            here = (
-                DESCRIPTORS.parent.resolve() / DESCRIPTORS.name
-            )  # with the number of this process, for others
-            names.append(str(here / str(opened[-1]) / (path.name if name else "")))
-        yield tuple(names)
-    finally:
-        for descriptor in opened:
-            os.close(descriptor)
-
-
-def _is_taken_literally(name: str) -> bool:
-    return "," not in name and "${" not in name
 
 
 def check_copyable(options: Sequence[str]) -> None:

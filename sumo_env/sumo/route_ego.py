@@ -13,7 +13,7 @@ from sumo_env.scene import NOBODY, Neighbour, Place
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.ego import Controls, coast, driven, speed_before
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
-from sumo_env.sumo.surroundings import neighbours
+from sumo_env.sumo.surroundings import foe, neighbours
 
 REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
 
@@ -154,6 +154,9 @@ class RouteEgo:
             self._reaches = (inf if beside[0] else 0.0, inf if beside[1] else 0.0)
             return
         lanes = session.lanes_ahead(self._name)
+        if lane not in [found for found, _, _ in lanes]:  # SUMO overtakes on the lane of oncoming traffic
+            self._sides = None, None
+            return
         reaches = {found: inf if leads else length for found, length, leads in lanes}
         left, right = (reaches.get(network.lanes[side].id, 0.0) if side else 0.0 for side in beside)
         self._reaches = left, right
@@ -179,7 +182,10 @@ class RouteEgo:
     def _remaining(self) -> float:
         """From the front of the ego to the end of its route [m], without the ways through junctions."""
         here, *rest = (self._network.sumo_lanes[f"{edge}_0"].length for edge in self.ahead)
-        present = 0.0 if self._lane.startswith(":") else here - self._session.position_of(self._name)
+        edge, driven = self._lane.rpartition("_")[0], self._session.position_of(self._name)
+        present = 0.0 if edge.startswith(":") else here - driven
+        if not edge.startswith(":") and edge != self.ahead[0]:  # on the lane of oncoming traffic
+            present = driven
         return present + sum(rest)
 
     def is_near_its_end(self, dt: float) -> bool:
@@ -216,6 +222,8 @@ class RouteEgo:
             red_light=self.red_light,
             waiting=waiting,
             neighbours=(NOBODY,) * 6 if gone else self._neighbours(),
+            foe=NOBODY if gone else foe(self._session, self._name),
+            target_speed=self.speed if self._target_speed is None else self._target_speed,
             fuel=self._fuel,
             electricity=self._electricity,
         )

@@ -18,9 +18,9 @@ from sumo_env.contacts.rectangles import Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
-from sumo_env.sumo.options import readable
 from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.settings import Settings
+from sumo_env.traffic.sumo_files import plain_path, temporary_folder
 
 # Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
 ALL_CHECKS_OFF = 32  # drive at the commanded speed, whatever is ahead
@@ -66,16 +66,13 @@ class Session:
         self.sizes.clear()
         self._settings = None  # until all is loaded
         values = {**self._engine.options, **settings.options}
-        with contextlib.ExitStack() as stack:
-            (values["net-file"],) = stack.enter_context(readable(Path(values["net-file"])))
+        values["net-file"] = str(plain_path(Path(values["net-file"])))
+        with tempfile.TemporaryDirectory(prefix="sumo_env-", dir=temporary_folder()) as folder:
             if settings.elements:
-                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_env-"))
                 written = Path(folder) / "elements.add.xml"
                 written.write_text(settings.elements, encoding="utf-8")
-                (name,) = stack.enter_context(readable(written))
-                values["additional-files"] = ",".join(
-                    filter(None, (name, values.get("additional-files", "")))
-                )
+                added = (str(written), values.get("additional-files", ""))
+                values["additional-files"] = ",".join(filter(None, added))
             options = [f"--{name}={value}" for name, value in values.items()]
             if self._sumo.isLoaded():
                 self._sumo.load(options)

@@ -7,9 +7,10 @@ the same states and takes longer than the rest of a sub-step on small roads (doc
 from __future__ import annotations
 
 from collections.abc import Collection
-from itertools import repeat
+from itertools import chain, repeat
 from math import inf
 from operator import itemgetter
+from typing import Any
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
@@ -130,3 +131,36 @@ def neighbours(session: Session, name: str) -> tuple[Neighbour, ...]:
                     nearest = min(nearest, Neighbour(other, gap, session.speed_of(other)), key=itemgetter(1))
             around.append(nearest)
     return tuple(around)
+
+
+def foe(session: Session, name: str) -> Neighbour:
+    """Of the vehicles to which a vehicle has to give way at the next junction, the one nearest to the junction.
+
+    Its gap is what is left of its way there, 0 within the junction. Only vehicles on the last lane before the junction
+    are looked at, and none that a red light stops.
+    """
+
+    def ask(function: str, argument: str, *further: str) -> Any:
+        return session.call(function, (argument, *further), {})
+
+    lane, nearest = session.lane_of(name), NOBODY
+    ways = ask("lane.getLinks", lane) if lane else ()  # a vehicle that is parked has none
+    if not lane.startswith(":"):  # else there is one way on
+        taken = [link[4] for link in ask("vehicle.getNextLinks", name)[:1]]
+        ways = [way for way in ways if way[4] in taken]
+    if not ways or not ways[0][4]:  # its lane does not lead on, or nothing more is crossed
+        return nearest
+    crossed = ask("lane.getInternalFoes", ways[0][4])
+    for before in dict.fromkeys(ask("lane.getFoes", lane, ways[0][0])):
+        is_inside = before.startswith(":")
+        inside = [before] if is_inside else [link[4] for link in ask("lane.getLinks", before)]
+        for other in chain.from_iterable(
+            ask("lane.getLastStepVehicleIDs", way) for way in inside if way in crossed
+        ):
+            nearest = min(nearest, Neighbour(other, 0.0, session.speed_of(other)), key=itemgetter(1))
+        for other in () if is_inside else ask("lane.getLastStepVehicleIDs", before):
+            link = ask("vehicle.getNextLinks", other)[:1]
+            if link and link[0][4] in crossed and link[0][5] not in "ru":
+                gap = ask("lane.getLength", before) - session.position_of(other)
+                nearest = min(nearest, Neighbour(other, gap, session.speed_of(other)), key=itemgetter(1))
+    return nearest

@@ -17,7 +17,7 @@ from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigE
 from sumo_env.networks import files
 from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import Road
-from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, Place
+from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST, Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.tasks.terms import TERMS, measures_energy, terms
@@ -25,7 +25,7 @@ from sumo_env.traffic.drivers import LACKING, vehicle_type
 from sumo_env.traffic.foreign import check_files
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic, VehicleSpec
-from sumo_env.traffic.sumo_files import Contents, configuration, is_output, paths, seconds
+from sumo_env.traffic.sumo_files import UNSORTED, Contents, configuration, is_output, paths, seconds
 
 Route = Sequence[str]
 MARGIN = VEHICLE_LENGTH  # [m] that a vehicle keeps from both ends of an edge when it is placed
@@ -102,14 +102,16 @@ class NetworkTask(Task):
         self._driven = files.network(self.net)
         for name, way in self._drawn:
             files.check_route(self._driven, name, way)
-        contents = Contents(options)
-        self._first = None if "begin" in options else contents.first_departure()
-        self._contents = contents
+        contents = self._contents = Contents(options)
+        self._first = None if "begin" in options else contents.first_departure
+        if left_out := contents.left_out:
+            some = ", ".join(left_out[:5]) + (", ..." if len(left_out) > 5 else "")
+            _warn_once(f"SUMO leaves out {len(left_out)} of the files ({some}): {UNSORTED}")
         self._origins = self._take_ego(ego_route, ego_trips, ego_vehicle, ego_type)
         if ego_vehicle:
             contents.check_vehicle(ego_vehicle)
         self.ego_id = ego_vehicle or next(
-            id for id in (EGO, "learner", "learner.0") if not contents.has_id(id)
+            id for id in (EGO, "learner", "learner.0") if id not in contents.ids
         )
         self._limit = self._speed_limit()
         if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
@@ -218,6 +220,12 @@ class NetworkTask(Task):
             options["begin"] = f"{begin:g}"
         start, drawn = seconds("begin", options.get("begin", "0")), ""
         scale = self._scale(config, seed)
+        without_effect = not self._drawn and (config["vehicles_count"] or config["spawn_probability"])
+        if without_effect and "route-files" in options:
+            _warn_once(
+                "'vehicles_count' and 'spawn_probability' have no effect: the route files say what comes, and "
+                "'traffic_scale' how much of it"
+            )
         if self._drawn:
             for key, most in (("vehicles_count", MOST_VEHICLES), ("spawn_probability", 1.0)):
                 config = {**config, key: min(scale * config[key], most)}
@@ -259,7 +267,7 @@ class NetworkTask(Task):
 
     @cached_property
     def _models(self) -> tuple[tuple[str, str], ...]:
-        return tuple(self._contents.models().items())
+        return tuple(self._contents.models.items())
 
     def _begin(self, config: Config) -> float | None:
         """Where SUMO's clock begins [s]; None where the files say it."""
@@ -379,6 +387,8 @@ def _ranges(limit: float) -> dict[str, list[float]]:
     ranges = {"x": [-sight, sight], "y": [-BESIDE, BESIDE]}
     ranges |= {name: [-2.0 * limit, 2.0 * limit] for name in ("vx", "vy")}
     ranges |= {name: [0.0, sight] for name in (*LANE_ENDS, "light_distance", *GAPS)}
+    ranges["foe_gap"] = [0.0, 2.0 * sight]  # the ego needs time to cross
+    ranges |= {name: [0.0, limit] for name in ON_REQUEST[2:]}
     return {**ranges, "light": [-1.0, 2.0], **{name: [-limit, limit] for name in CLOSING}}
 
 

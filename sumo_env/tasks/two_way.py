@@ -5,9 +5,6 @@ The reward has no crash term, as in highway-env: a crash only ends the episode. 
 
 from __future__ import annotations
 
-from itertools import count as count_from
-from itertools import pairwise
-
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
@@ -63,8 +60,14 @@ class TwoWay(Task):
         length = float(config["road_length"])
         # highway-env: x = 70 + 40 i, and 300, 200 m from the far end. More vehicles move closer together so
         # that all of them are on the road and ahead of the ego.
-        own = _column(rng, int(config["vehicles_count"]), 70.0, 40.0, length - 90.0)
-        oncoming = _column(rng, int(config["oncoming_vehicles_count"]), 300.0, -100.0, 280.0)
+        ahead, opposite = int(config["vehicles_count"]), int(config["oncoming_vehicles_count"])
+        for count, available in ((ahead, length - 90.0), (opposite, 280.0)):
+            if available / max(count - 1, 1) <= MIN_SPACING:
+                raise ConfigError(
+                    f"{count} vehicles do not fit into {available:g} m of road one behind the other"
+                )
+        own = column(rng, ahead, 70.0, 40.0, length - 90.0)
+        oncoming = column(rng, opposite, 300.0, -100.0, 280.0)
         vehicles = []
         for s, deviation in zip(own, rng.normal(size=len(own)), strict=True):
             vehicles.append((OWN, s, 24.0 + 2.0 * deviation))
@@ -82,20 +85,17 @@ class TwoWay(Task):
         }
 
 
-def _column(
+def column(
     rng: np.random.Generator, count: int, start: float, spacing: float, available: float
-) -> list[float]:
+) -> np.ndarray:
     """Places of a column of vehicles [m]: equal spacing with jitter, redrawn until no two cars overlap."""
     step = min(abs(spacing), available / max(count - 1, 1))
-    if step <= MIN_SPACING:
-        raise ConfigError(f"{count} vehicles do not fit into {available:g} m of road one behind the other")
     direction = 1.0 if spacing > 0 else -1.0
-    deviation = 10.0 * step / abs(spacing)
-    for attempt in count_from(1):
-        jitter = rng.normal(size=count).tolist()
-        places = [start + direction * step * k + jitter[k] * deviation for k in range(count)]
-        if all(front - rear > MIN_SPACING for rear, front in pairwise(sorted(places))):
-            break
+    deviation, attempt = 10.0 * step / abs(spacing), 1
+    while True:
+        places = start + direction * step * np.arange(count) + rng.normal(0.0, 1.0, count) * deviation
+        if (np.diff(np.sort(places)) > MIN_SPACING).all():
+            return places
         if attempt >= 100:  # in a crowded column, chance alone would not find free places
             deviation *= 0.9
-    return places
+        attempt += 1

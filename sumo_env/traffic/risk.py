@@ -61,6 +61,14 @@ class RiskEvent:
     way: float = FREE_WAY
 
 
+def pushes(rates: RiskRates) -> dict[Kind, dict[str, Any]]:
+    """What events of these kinds have beside their time and vehicle."""
+    return {
+        "brake": {"accel": -rates.brake_decel, "duration": rates.brake_duration},
+        "surge": {"accel": rates.surge_accel, "duration": rates.surge_duration, "way": rates.surge_way},
+    }
+
+
 def draw_events(
     rates: RiskRates,
     dose: float,
@@ -82,11 +90,7 @@ def draw_events(
         ("brake", rates.brake),
         ("surge", rates.surge),
     )
-    pushes: dict[str, dict[str, Any]] = {
-        "brake": {"accel": -rates.brake_decel, "duration": rates.brake_duration},
-        "surge": {"accel": rates.surge_accel, "duration": rates.surge_duration, "way": rates.surge_way},
-    }
-    events: list[RiskEvent] = []
+    more_of, events = pushes(rates), list[RiskEvent]()
     for vehicle, start in vehicles:
         for kind, rate in kinds:
             for _ in range(rng.poisson(rate * duration)):
@@ -94,7 +98,7 @@ def draw_events(
                 time *= duration
                 if keep >= dose or time < start:
                     continue
-                more = pushes.get(kind) or {"direction": -1 if side < 0.5 else 1}
+                more = more_of.get(kind) or {"direction": -1 if side < 0.5 else 1}
                 events.append(RiskEvent(time, vehicle, kind, **more))
     return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))
 

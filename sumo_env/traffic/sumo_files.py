@@ -6,13 +6,15 @@ which files there are, with which step, from when on, and which ids are in use.
 
 from __future__ import annotations
 
+import atexit
 import difflib
 import gzip
+import math
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -57,6 +59,11 @@ LEFT_OUT = (
     *("xml-validation.net", "xml-validation.routes"),
 )
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
+OTHER_FILES = {"net": "a network", "configuration": "a configuration", "osm": "a map of OpenStreetMap"}
+UNSORTED = (
+    "it departs before what stands before it in its route file. Sort the file (SUMO has "
+    "tools/route/sort_routes.py), or take it as an additional file"
+)
 DEPARTING = ("vehicle", "trip", "flow", "person", "personFlow", "container", "containerFlow")
 
 
@@ -103,40 +110,64 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     for path in found:
         if not os.path.isfile(path):  # also where the name is longer than any
             raise ConfigError(f"{name}: there is no file {path}")
-    # a network is opened by the session, see `options.readable`; of the others there may be several
-    return found if name.endswith(("network", "net-file")) else tuple(map(_plain_path, found))
+    # the session does this for a network; of the others there may be several
+    return found if name.endswith(("network", "net-file")) else tuple(map(plain_path, found))
 
 
-@cache
-def _plain_path(path: Path) -> Path:
+def plain_path(path: Path) -> Path:
     """A path to a file that SUMO understands, which takes a comma as the end of a name, and ``${...}`` as a variable.
 
     Raises:
-        ConfigError: there is none, because the folder for temporary files has such a name.
+        ConfigError: there is none, because all folders for temporary files have such names.
     """
-    folder_is_odd, name_is_odd = ("," in part or "${" in part for part in (str(path.parent), path.name))
-    if not (folder_is_odd or name_is_odd):
-        return path
-    folder = Path(_links().name)
+    return path if _is_plain(path) else _linked(path, os.getpid())
+
+
+@cache
+def _linked(path: Path, process: int) -> Path:
+    """A link to a file: of this process, because a copy of it may live longer."""
+    folder = _links(process)
     ending = re.search(r"(\.\w+)*$", path.name)
     assert ending is not None
     link = folder / f"{len(list(folder.iterdir()))}{ending[0]}"
-    if "," in str(link) or "${" in str(link):
-        raise ConfigError(
-            f"SUMO cannot read {path}: it takes a comma as the end of a name, and ${{...}} as a variable. Choose "
-            "another folder (TMPDIR is the variable for temporary files)"
-        )
-    if name_is_odd:
+    if not _is_plain(path.name):
         link.symlink_to(path)
         return link
     link.symlink_to(path.parent, target_is_directory=True)  # files beside this one can be found as well
     return link / path.name
 
 
+def _is_plain(path: str | Path) -> bool:
+    return "," not in str(path) and "${" not in str(path)
+
+
+def temporary_folder() -> str:
+    """A folder for temporary files with a name that SUMO understands.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    folders = (tempfile.gettempdir(), "/tmp", "/var/tmp", os.getcwd())
+    for folder in folders:
+        if _is_plain(folder) and os.access(folder, os.W_OK):
+            return folder
+    raise ConfigError(
+        f"SUMO takes a comma as the end of a name, and ${{...}} as a variable, and needs a folder for temporary files "
+        f"without: choose one by TMPDIR (tried: {'; '.join(folders)})"
+    )
+
+
 @cache
-def _links() -> tempfile.TemporaryDirectory[str]:
-    """A folder of this process, deleted at its end."""
-    return tempfile.TemporaryDirectory(prefix="sumo_env-")
+def _links(process: int) -> Path:
+    """A folder that this process deletes at its end, and no copy of it does."""
+    folder = tempfile.mkdtemp(prefix="sumo_env-", dir=temporary_folder())
+
+    def delete() -> None:
+        if os.getpid() == process:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(delete)
+    return Path(folder)
 
 
 def seconds(option: str, text: str) -> float:
@@ -155,33 +186,51 @@ def seconds(option: str, text: str) -> float:
 
 
 class Contents:
-    """What is asked of route and additional files before SUMO reads them."""
+    """What has to be known of route and additional files before SUMO reads them.
+
+    Attributes:
+        ids: of all elements.
+        models: car-following models of the vehicle types that name one, by type.
+        first_departure: time of the first departure [s], None without one.
+        left_out: ids of what SUMO leaves out: it departs earlier than what stands before it in a route file.
+    """
 
     def __init__(self, options: Options) -> None:
-        listed = (options.get("additional-files", ""), options.get("route-files", ""))
-        self.files = [Path(part) for names in listed for part in names.split(",") if part]
+        self.ids: set[str] = set()
+        self.models: dict[str, str] = {}
+        self.first_departure: float | None = None
+        self.left_out: list[str] = []
+        self._vehicles: set[str] = set()
+        for option in ("additional-files", "route-files"):
+            in_order = option == "route-files" and options.get("route-steps") != "0"
+            for name in filter(None, options.get(option, "").split(",")):
+                self._read(Path(name), in_order)
 
-    def first_departure(self) -> float | None:
-        """Time of the first departure [s], for SUMO reads files in the order of departure; None without one."""
-        times = []
-        for file in self.files:
-            with closing(_elements(file)) as elements:
-                for item in elements:
-                    text = item.get("depart", item.get("begin"))
-                    if item.tag in DEPARTING and text is not None:
-                        if re.fullmatch(r"[\d.:]+", text):
-                            times.append(seconds("depart", text))
-                        break
-        return min(times, default=None)
-
-    def has_id(self, name: str) -> bool:
-        """Whether something in the files may have this id."""
-        pattern = re.compile(rb"""\bid\s*=\s*["']%s["']""" % re.escape(name.encode()))
-        for file in self.files:
-            with _opened(file) as opened:
-                if pattern.search(opened.read()):
-                    return True
-        return False
+    def _read(self, file: Path, in_order: bool) -> None:
+        latest = -math.inf
+        item = ElementTree.Element("")
+        for item in _elements(file):
+            name = item.get("id", "")
+            self.ids.add(name)
+            if item.tag == "vType" and (model := item.get("carFollowModel")):
+                self.models[name] = model
+            if item.tag not in DEPARTING:
+                continue
+            if item.tag in ("vehicle", "trip", "flow"):
+                self._vehicles.add(name)
+            text = item.get("depart", item.get("begin", ""))
+            if re.fullmatch(r"[\d.:]+", text):
+                time = seconds("depart", text)
+                if in_order and time < latest:
+                    self.left_out.append(name)
+                    continue
+                latest = max(latest, time)
+                if self.first_departure is None or time < self.first_departure:
+                    self.first_departure = time
+        if item.tag in OTHER_FILES:  # the root, which ends last
+            raise ConfigError(
+                f"{file} is {OTHER_FILES[item.tag]}, and no file of routes or additional elements"
+            )
 
     def check_vehicle(self, name: str) -> None:
         """That a vehicle of this id comes, as far as the files say.
@@ -189,31 +238,16 @@ class Contents:
         Raises:
             ConfigError: there is none; the message names near ids.
         """
-        known: set[str] = set()
-        for file in self.files:
-            for item in _elements(file):
-                if item.tag in ("vehicle", "trip", "flow"):
-                    known.add(item.get("id", ""))
-        if name in known or name.rpartition(".")[0] in known:
-            return
+        known = sorted(self._vehicles)
         stem, _, number = name.rpartition(".")
-        near = difflib.get_close_matches(name, sorted(known), n=5)
-        near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, sorted(known), n=5)]
-        hint = (
-            f"did you mean one of {', '.join(near)}?"
-            if near
-            else f"they have {', '.join(sorted(known)[:20])}"
-        )
+        if name in self.left_out or stem in self.left_out:
+            raise ConfigError(f"SUMO leaves out the vehicle {name!r}: {UNSORTED}")
+        if name in known or stem in known:
+            return
+        near = difflib.get_close_matches(name, known, n=5)
+        near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, known, n=5)]
+        hint = f"did you mean one of {', '.join(near)}?" if near else f"they have {', '.join(known[:20])}"
         raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
-
-    def models(self) -> dict[str, str]:
-        """Car-following models of the vehicle types that name one, by type."""
-        return {
-            item.get("id", ""): item.get("carFollowModel", "")
-            for file in self.files
-            for item in _elements(file)
-            if item.tag == "vType" and item.get("carFollowModel")
-        }
 
 
 def _opened(file: Path) -> Any:

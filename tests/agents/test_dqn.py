@@ -96,7 +96,8 @@ def test_updates_by_hand_are_those_of_autograd() -> None:
     plain, by_hand = (weights(agent.online) for agent in agents)
     np.testing.assert_allclose(plain, by_hand, atol=2e-6)
     assert np.abs(plain - before).max() > 1e-3
-    np.testing.assert_allclose(*(agent.policy().q(pair[0]) for agent in agents), atol=1e-5)
+    values, values_by_hand = (agent.policy().q(pair[0]) for agent in agents)
+    np.testing.assert_allclose(values, values_by_hand, atol=1e-5)
 
 
 def test_the_first_update_is_that_of_stable_baselines3() -> None:

@@ -58,10 +58,10 @@ def drive_both(envs: tuple[Any, Any], steps: int, seed: int) -> int:
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
-@pytest.mark.parametrize("threads", [1, 2])
-def test_autoreset_and_threads(mode: str, threads: int) -> None:
-    """A reset without a seed goes on with the generators, whatever was drawn ahead."""
-    envs = pair("two-way", mode, threads, scenarios="seeded", config={"risk": 1.0})
+@pytest.mark.parametrize(("task", "threads"), [("two-way", 1), ("two-way", 2), ("intersection", 2)])
+def test_autoreset_and_threads(mode: str, task: str, threads: int) -> None:
+    """A reset without a seed goes on with the generators, whatever was drawn ahead, as at the intersection."""
+    envs = pair(task, mode, threads, scenarios="seeded", config={"risk": 1.0})
     assert_equal(*(env.reset(seed=[5, 1, 8, 1]) for env in envs))
     drive_both(envs, 12, seed=0)
     assert_equal(*(env.reset() for env in envs))
@@ -87,6 +87,14 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ),
     ("intersection", {"config": {"neighbour_vehicles_connected_lanes": True, "destination": None}}),
     # options
+    (
+        "highway",
+        {**SEEDED, "config": {"initial_lane_id": 2, "ego_spacing": 3, "lanes_count": 3, "risk": 0.4}},
+    ),
+    (
+        "roundabout",
+        {**SEEDED, "config": {"incoming_vehicle_destination": 1, "vehicles_count": 6, "risk": 0.4}},
+    ),
     ("highway", {**SEEDED, "config": {"offroad_terminal": True, "normalize_reward": False}}),
     ("highway", {**SEEDED, "config": {"action": {"type": "DiscreteMetaAction", "longitudinal": False}}}),
     ("intersection", {**SEEDED, "config": {"normalize_reward": True, "policy_frequency": 3}}),

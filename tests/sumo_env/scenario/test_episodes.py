@@ -172,6 +172,7 @@ def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -
         ({}, "one of ego_route"),
         ({"ego_trips": [["A0A1", "B9"]]}, "edge 'B9'"),
         ({"ego_trips": ["A0A1"]}, "pairs of edges"),
+        ({"ego_trips": [[22, 3]]}, "names of edges"),
         ({"ego_route": "A0A1"}, "list of edges"),
         (
             {"ego_vehicle": "ego", "config": {"initial_speed": "max"}},
@@ -188,6 +189,17 @@ def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -
 def test_an_ego_that_cannot_be_is_named(town: Path, change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(town, **change)
+
+
+def test_files_in_the_wrong_place_and_keys_without_effect_are_named(town: Path) -> None:
+    """SUMO would take a network for route files without a vehicle."""
+    net, routes = town.with_name("grid.net.xml"), town.with_name("t.rou.xml")
+    for file, kind in ((net, "a network"), (town, "a configuration")):
+        with pytest.raises(ConfigError, match=f"is {kind}, and no file of routes"):
+            SumoDrivingEnv(net, file, ego_route=WAY)
+    env = SumoDrivingEnv(net, routes, ego_route=WAY, config={"vehicles_count": 30})
+    with pytest.warns(UserWarning, match="'vehicles_count'.*no effect.*'traffic_scale'"):
+        env.reset(seed=0)
 
 
 def test_traffic_without_single_cars_is_refused(town: Path) -> None:
@@ -234,6 +246,25 @@ def test_begin_is_the_first_departure_where_nothing_departs_for_a_minute(town: P
     assert env.sumo.simulation.getTime() < 120.0 and len(env.scene) == 1
     with pytest.raises(ConfigError, match="begin"):
         SumoDrivingEnv(town, ego_route=WAY, sumo_options=["--begin=5"])
+
+
+def test_what_sumo_leaves_out_of_unsorted_files_is_named(town: Path, tmp_path: Path) -> None:
+    """It says so itself in a warning, and warnings are off."""
+    file, way = tmp_path / "unsorted.rou.xml", 'from="A0A1" to="C1C2"'
+    rows = ("late", 20), ("early", 10), ("later", 30)
+    trips = "".join(f'<trip id="{name}" depart="{time}" {way}/>' for name, time in rows)
+    file.write_text(f'<routes>{trips}<flow id="flow" begin="0" end="90" period="5" {way}/></routes>')
+    net, all_of_it = town.with_name("grid.net.xml"), {"warm_up": 40}
+    with pytest.warns(UserWarning, match=r"leaves out 2 of the files \(early, flow\).*sort_routes"):
+        env = SumoDrivingEnv(net, file, ego_route=WAY, config=all_of_it)
+    env.reset(seed=0)
+    assert set(env.scene.ids[1:]) == {"late", "later"}
+    for name in ("early", "flow.3"):
+        with pytest.raises(ConfigError, match=f"leaves out the vehicle '{name}'.*sort_routes"):
+            SumoDrivingEnv(net, file, ego_vehicle=name)
+    env = SumoDrivingEnv(net, additional=file, ego_route=WAY, config=all_of_it)
+    env.reset(seed=0)
+    assert {"early", "flow.3"} <= set(env.scene.ids)
 
 
 @pytest.mark.parametrize(

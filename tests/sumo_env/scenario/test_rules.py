@@ -159,6 +159,79 @@ def test_the_ego_sees_who_is_ahead_and_behind_on_its_lane_and_beside(tmp_path: P
     assert met == set(NEIGHBOURS)
 
 
+@pytest.mark.parametrize("light", ["priority", "traffic_light"])
+def test_the_ego_sees_to_whom_it_has_to_give_way(tmp_path: Path, light: str) -> None:
+    """Others come towards it: one turns to the road bd, to which the ego turns left, one drives straight on."""
+    nodes = '<node id="a" x="0" y="0"/><node id="c" x="400" y="0"/><node id="d" x="200" y="200"/>'
+    nodes += f'<node id="b" x="200" y="0" type="{light}"/>'
+    roads = ("ab", "ba", "bc", "cb", "bd", "db")
+    edges = "".join(f'<edge id="{road}" from="{road[0]}" to="{road[1]}" speed="14"/>' for road in roads)
+    seen = {"type": "Kinematics", "features": ["foe_gap", "foe_speed"], "normalize": False}
+    for way, sees in ((["ab", "bd"], True), (["ab", "bc"], False)):
+        net = build(tmp_path, (nodes, edges))
+        env = SumoDrivingEnv(net, ego_route=way, config={**QUIET, "duration": 60, "observation": seen})
+        assert env.reset(seed=0)[0][0].tolist() == [200.0, 0.0]
+        lights, vehicle = env.sumo.trafficlight, env.sumo.vehicle
+        for one in lights.getIDList():
+            lights.setRedYellowGreenState(one, "g" * len(lights.getRedYellowGreenState(one)))
+        env.sumo.route.add("straight", ["cb", "ba"])
+        env.sumo.route.add("off", ["cb", "bd"])
+        length = env.sumo.lane.getLength("cb_0")
+        vehicle.add("turns off", "off", departPos=f"{length - 20}", departSpeed="10")
+        vehicle.add("comes", "straight", departPos=f"{length - 70}", departSpeed="10")
+        gaps: list[float] = []
+        while env.scene.place.lane[0] == "ab:from" and len(gaps) < 15:
+            gap, speed = env.step(SLOWER)[0][0]
+            gaps.append(float(gap))
+            where = {name: vehicle.getRoadID(name) for name in vehicle.getIDList() if name != "ego"}
+            coming = [
+                (length - vehicle.getLanePosition(name) if edge == "cb" else 0.0, vehicle.getSpeed(name))
+                for name, edge in where.items()
+                if edge == "cb" or edge.startswith(":")
+            ]
+            nearest = min(coming, default=(200.0, 0.0)) if sees else (200.0, 0.0)
+            assert (gap, speed) == pytest.approx(nearest)
+        assert (len(set(gaps)) > 5 and 0.0 in gaps) == sees
+        for one in lights.getIDList():  # a red light stops the others
+            lights.setRedYellowGreenState(one, "r" * len(lights.getRedYellowGreenState(one)))
+            vehicle.add("third", "straight", departPos=f"{length - 60}", departSpeed="10")
+            assert env.step(SLOWER)[0][0].tolist() == [200.0, 0.0]
+        env.close()
+
+
+def test_the_ego_sees_what_it_was_told_last(tmp_path: Path) -> None:
+    """Its type's `accel` and `decel` let it take seconds for it."""
+    seen = {"type": "Kinematics", "features": ["vx", "target_speed"], "vehicles_count": 1, "normalize": False}
+    env = start(road(tmp_path, ""), observation=seen)
+    late = []
+    for action in (SLOWER, SLOWER, SLOWER, FASTER, FASTER):
+        speed, told = env.step(action)[0][0]
+        assert told == pytest.approx(env.target_speeds[env.ego_state.speed_index])
+        late.append(abs(speed - told) > 1.0)
+    assert any(late)
+
+
+def test_an_ego_that_overtakes_on_the_lane_of_oncoming_traffic_makes_progress(tmp_path: Path) -> None:
+    """SUMO drives it; there, SUMO counts positions from the other end."""
+    roads = ("a 0 0,b 600 0,c 900 0", "ab a b 1 14,ba b a 1 14,bc b c 1 14,cb c b 1 14")
+    net = build(tmp_path, roads, "--opposites.guess")
+    slow = '<vehicle id="slow" depart="0" departPos="40"><route edges="ab bc"/></vehicle>'
+    file = route_file(
+        tmp_path, f'<vType id="DEFAULT_VEHTYPE"/>{slow}<trip id="ego" depart="3" from="ab" to="bc"/>'
+    )
+    by_sumo = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
+    env = SumoDrivingEnv(net, file, ego_vehicle="ego", config={"duration": 90, "action": by_sumo})
+    env.reset(seed=0)
+    env.sumo.vehicle.setMaxSpeed("slow", 4.0)
+    shares, edges, over = [], set(), False
+    while not over:
+        *_, over, _, info = env.step(0)
+        shares.append(info["rewards"]["progress_reward"])
+        edges.add(env.scene.place.lane[0])
+    assert info["arrived"] and "ba:from" in edges
+    assert min(shares) >= 0.0 and max(shares) < 0.05 and sum(shares) == pytest.approx(1.0)
+
+
 def test_a_junction_before_a_red_light_is_no_red_light(tmp_path: Path) -> None:
     """The next light on the way is red already when the ego drives over b."""
     nodes = '<node id="a" x="0" y="0"/><node id="b" x="200" y="0"/><node id="s" x="200" y="-100"/>'

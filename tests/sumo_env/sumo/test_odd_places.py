@@ -12,7 +12,8 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.networks.mapping import network
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo import link, options, process
+from sumo_env.sumo import link, process
+from sumo_env.traffic import sumo_files
 from tests.processes import python
 from tests.sumo_env.sumo.fake import scenario
 
@@ -63,15 +64,16 @@ def test_a_network_may_be_anywhere(file: str, tmp_path: Path) -> None:
     assert first == second and in_a_worker == "True"
 
 
-def test_without_descriptors_the_path_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(options, "DESCRIPTORS", tmp_path / "nowhere")
-    with options.readable(tmp_path / "plain") as names:
-        assert names == (str(tmp_path / "plain"),)
-    with (
-        pytest.raises(ConfigError, match=r"SUMO cannot read /a,b/c: .*TMPDIR"),
-        options.readable(Path("/a,b/c")),
-    ):
-        pass
+def test_without_a_folder_for_links_the_folders_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert sumo_files.plain_path(tmp_path / "plain") == tmp_path / "plain"
+    link = sumo_files.plain_path(tmp_path / "a,b" / "c")
+    assert "," not in str(link) and link.parent.readlink() == tmp_path / "a,b"
+    monkeypatch.setattr(sumo_files.os, "access", lambda *_: False)
+    sumo_files._links.cache_clear()
+    with pytest.raises(ConfigError, match=r"TMPDIR \(tried: .*/tmp"):
+        sumo_files.plain_path(tmp_path / "d,e" / "f")
 
 
 def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> None:

@@ -13,6 +13,8 @@ from typing import BinaryIO
 
 import numpy as np
 
+LARGEST = 2**33  # bytes of a file, and of what an npz holds; more would fill the memory or take hours
+
 
 class CheckpointError(RuntimeError):
     """A checkpoint is damaged, or belongs to another training."""
@@ -28,9 +30,11 @@ def sync(path: Path) -> None:
 
 
 def open_regular(path: Path) -> io.BufferedReader:
-    """A file to be read. Raises OSError where it is a folder, a device or a pipe, which may hang the reader."""
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise OSError(errno.EINVAL, "no regular file", str(path))
+    """A file to be read. Raises OSError where it is a folder, a device or a pipe, or without an end for a reader."""
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode) or about.st_size > LARGEST:
+        why = "more than 8 GiB" if stat.S_ISREG(about.st_mode) else "no regular file"
+        raise OSError(errno.EINVAL, why, str(path))
     return path.open("rb")
 
 
@@ -74,7 +78,10 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
     """
     try:
         with open_regular(Path(path)) as file, np.load(file, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}  # reads to the end: checks every CRC-32
+            if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
+                raise ValueError("more than 8 GiB when it is unpacked")
+            # reads to the end: checks every CRC-32; an entry that is no array is bytes
+            return {name: np.asarray(archive[name]) for name in archive.files}
     except FileNotFoundError:
         raise
     except Exception as error:  # a damaged archive may end in nearly any of them

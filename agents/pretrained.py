@@ -9,6 +9,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agents.checkpoint import CheckpointError, load_arrays, save_arrays
-from agents.schema import check
+from agents.schema import Wrong, check, parsed
 
 if TYPE_CHECKING:
     from agents.greedy import Greedy
@@ -26,8 +28,10 @@ FILE = Path(__file__).resolve().parents[1] / "results" / "agents.npz"
 CARDS = "cards"  # the entry with the cards as JSON; an agent's weights are the entries "SETTING/ARM/NAME"
 
 
+LABEL = re.compile(r"[\w.+-]+/[\w.+-]+")
+LARGEST = 1_000_000  # numbers in an observation
 SIZES = range(1, 10_000)  # of observations, in number of actions and steps
-THREE = [int | float]
+THREE = [int | float] * 3  # a value, and the ends of its interval
 CARD = {
     **{"cell": str, "command": str, "commit": str | None, "task": str, "config": dict, "network": str},
     **{
@@ -55,11 +59,15 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
     """
     arrays = _arrays(Path(file))
     try:
-        found: dict[str, dict[str, Any]] = json.loads(str(arrays[CARDS]))
+        found: dict[str, dict[str, Any]] = parsed(str(arrays[CARDS]))
         check(found, dict, CARDS)
         for name, about in found.items():
             check(about, CARD, name)
-    except (KeyError, ValueError, RecursionError) as error:
+            if not LABEL.fullmatch(name):
+                raise Wrong(f"{name!r} must be SETTING/ARM")
+            if math.prod(about["observations"]) > LARGEST:
+                raise Wrong(f"{name}.observations have more than {LARGEST:,} numbers")
+    except (KeyError, ValueError) as error:
         raise CheckpointError(f"{file} is no file of agents ({error}): restore it from a copy.") from None
     return found
 

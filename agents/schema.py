@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+import json
+import math
 from types import UnionType
-from typing import Any
+from typing import Any, NoReturn
 
 
 class Wrong(ValueError):
     """Stored data that no version of this package has written; says where, and what is expected there."""
+
+
+def parsed(text: str | bytes) -> Any:
+    """A value of strict JSON. Raises ValueError, also for NaN, infinity, and what is nested too deeply."""
+
+    def refuse(word: str) -> NoReturn:
+        raise Wrong(f"it has the number {word}")
+
+    def number(word: str) -> float:
+        return value if math.isfinite(value := float(word)) else refuse(word)
+
+    try:
+        return json.loads(text, parse_constant=refuse, parse_float=number)
+    except RecursionError:
+        raise Wrong("it is nested too deeply") from None
 
 
 def check(value: Any, expected: Any, where: str = "") -> None:
@@ -16,7 +33,7 @@ def check(value: Any, expected: Any, where: str = "") -> None:
     Args:
         expected: a type or a union of types (a truth value is no number); a range of whole numbers, or a tuple of the
             values that are possible; a dict of the entries that are needed, and what is expected of each ("name?": it
-            may be missing); a list with what is expected of each item.
+            may be missing); a list with what is expected of each item, or of the items of a list of that length.
         where: the value's own place, for the message.
 
     Raises:
@@ -32,8 +49,10 @@ def check(value: Any, expected: Any, where: str = "") -> None:
                 raise Wrong(f"{place} is missing")
     elif isinstance(expected, list):
         check(value, list, where)
+        if len(expected) > 1 and len(value) != len(expected):
+            raise Wrong(f"{where} must have {len(expected)} items, not {len(value)}")
         for number, item in enumerate(value):
-            check(item, expected[0], f"{where}[{number}]")
+            check(item, expected[number % len(expected)], f"{where}[{number}]")
     elif isinstance(expected, type | UnionType):
         if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
             raise Wrong(f"{where} must be {getattr(expected, '__name__', expected)}, not {shortened(value)}")

@@ -506,6 +506,12 @@ def validation(task: str | None = None) -> dict[str, int]:
     return {"all": passed + sums["missed"], "passed": passed, **sums}
 
 
+def corruptions() -> dict[str, int]:
+    """What the damaged files of tests/faults/corruptions.py came to: how many there are, and of each outcome."""
+    found: dict[str, int] = json.loads((ROOT / "tests" / "faults" / "corruptions.json").read_text())
+    return found
+
+
 def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dict[str, float]:
     """A check that is missed: the numbers of sumo and of the reference, and the margin."""
     verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
@@ -531,10 +537,10 @@ def road_ratio(task: str, unit: str, traffic: str, other: str) -> str:
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    above_frontier, additional_crashes, avoidable, change, checked, checks, decided, effect, entering, failing, hazard,
-    late_crashes, missed, more_crashes, other_learner, other_learners, passing, planner_scenarios, planners, price,
-    price_limits, progress, rate, returns, road_ratio, road_units, row, settings, tasks, validation, variant,
-    with_noise_of_episodes,
+    above_frontier, additional_crashes, avoidable, change, checked, checks, corruptions, decided, effect, entering,
+    failing, hazard, late_crashes, missed, more_crashes, other_learner, other_learners, passing, planner_scenarios,
+    planners, price, price_limits, progress, rate, returns, road_ratio, road_units, row, settings, tasks, validation,
+    variant, with_noise_of_episodes,
 ]  # fmt: skip
 
 

@@ -31,6 +31,14 @@ from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 
 SHOWN = {"crash rate": "crash_rate", "return": "return", "speed [m/s]": "speed"}
+LEGEND = """\
+control, treatment    agents trained at risk 0 and at risk 1; published: of results/standard
+careful               a rule that gets as far as it can without coming close to others
+idm                   a rule: IDM for the speed, MOBIL for the lane
+idle, slower, faster  one action, always; an agent that is only as safe as slower should drive faster than it
+random                any action
+
+Intervals: 95 %, over scenarios. Comparing ways of training needs several seeds: experiments/sweep.py"""
 PUBLISHED = Path(__file__).resolve().parents[1] / "results" / "standard"  # its lightest settings have weights
 
 
@@ -55,11 +63,9 @@ def test(options: Options) -> int:
     agents = [record["key"] for record in Store(directory).agents().values()]
     for setting in sorted({grid.setting(key) for key in agents}):
         table, scenarios = compared(directory, setting)
-        print(f"{setting}: {scenarios} scenarios at each risk, the same in every row\n{table.to_string()}\n")
-    print("control: trained at risk 0; treatment: at risk 1; published: of results/standard")
-    print(
-        "Intervals: 95 %, over scenarios. Comparing ways of training needs several seeds: experiments/sweep.py"
-    )
+        print(f"{setting}: {scenarios} scenarios at each risk, the same in every row\n")
+        print(table.map("{:<14}".format).to_string(justify="left"), end="\n\n")
+    print(LEGEND)
     return 0
 
 
@@ -89,7 +95,7 @@ def compared(directory: Path, setting: str) -> tuple[pd.DataFrame, int]:
         parts = table[table["scenario"].isin(common)].groupby("traffic")
         numbers = {traffic: driving(parts.get_group(traffic)) for traffic in TRAFFICS}
         found[number, label.removeprefix(f"{setting}-")] = {
-            f"{title}, risk {ALL[traffic].dose:g}": words(name, *numbers[traffic][name])
+            (title, f"risk {ALL[traffic].dose:g}"): words(name, *numbers[traffic][name])
             for title, name in SHOWN.items()
             for traffic in TRAFFICS
         }

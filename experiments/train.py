@@ -22,6 +22,7 @@ from typing import Annotated
 
 import tyro
 
+from agents.checkpoint import atomic
 from experiments.study.compute.cells import compute
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import Experiment
@@ -99,7 +100,8 @@ def draw(directory: Path, cell: Cell) -> Path:
     title = f"{cell.slug}: training episodes with exploration, mean of {SMOOTH}"
     axes = smooth.plot(subplots=True, figsize=(8, 5), grid=True, xlabel="environment steps", title=title)
     file = directory / f"{cell.name}.png"  # another training of this slug has another name
-    axes[0].figure.savefig(file, dpi=110)
+    with atomic(file) as opened:
+        axes[0].figure.savefig(opened, format="png", dpi=110)
     return file
 
 

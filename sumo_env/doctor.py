@@ -7,6 +7,7 @@ changed on the machine.
 from __future__ import annotations
 
 import argparse
+import os
 import platform
 import sys
 import time
@@ -108,9 +109,11 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
     print(f"sumo_env {sumo_env.__version__} in {Path(sumo_env.__file__).parent} on {on}", file=out)
     for name, check in checks:
         try:
-            print(f"  ok    {name:14}{check()}", file=out, flush=True)
+            state, words = "ok  ", check()
         except Exception as error:
-            print(f"  FAIL  {name:14}{type(error).__name__}: {error}", file=out, flush=True)
+            state, words = "FAIL", f"{type(error).__name__}: {error}"
+        print(f"  {state}  {name:14}{words}", file=out, flush=True)
+        if state == "FAIL":
             print(
                 "if the line above does not help: install the package again, then report these lines",
                 file=out,
@@ -126,7 +129,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "python -m sumo_env.doctor", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.parse_args(arguments)
-    return examine(CHECKS, sys.stdout)
+    try:
+        return examine(CHECKS, sys.stdout)
+    except BrokenPipeError:  # the reader of our output (head, less) has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
 
 
 if __name__ == "__main__":

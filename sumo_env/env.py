@@ -64,5 +64,6 @@ class SumoDrivingEnv(DrivingEnv):
                 ego_type=ego_type,
             )
         except ValueError as error:
-            raise ConfigError(str(error)) from error
+            where = "" if str(network) in str(error) else f"{network}: "
+            raise ConfigError(f"{where}{error}") from error
         super().__init__(task, config, **keywords)

@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from agents.schema import check
 from experiments.analysis.scores import SETTING, in_order
 from experiments.study.compute.cell import MakeEnv
 from experiments.study.design.arms import ARMS
 from experiments.study.design.grid import tested_on
 from experiments.study.replaying.rerun import Case, differences, play_again
 from experiments.study.results.store import EPISODES, KEY_COLUMNS, Results, Store
-from experiments.support.files import canonical_json, write_file
+from experiments.support.files import canonical_json, read_json, write_file
 from experiments.support.films import Film
 from sumo_env.rendering.markings import markings
 from sumo_env.tasks import get_task
@@ -78,17 +79,17 @@ def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[st
     if places or path.exists():
         data = {"schema": SCHEMA, "rule": RULE, "places": places}
         text = json.dumps(data, separators=(",", ":"), allow_nan=False) + "\n"
-        if not path.exists() or path.read_text() != text:
-            write_file(path, text.encode())
+        write_file(path, text.encode())
     return {"rule": RULE, "places": places, "notes": notes}
 
 
 def _stored(path: Path) -> list[dict[str, Any]]:
     """The recorded places; none if the file is missing, damaged or of another version."""
     try:
-        value = json.loads(path.read_text())
-        return list(value["places"]) if value["schema"] == SCHEMA else []
-    except (OSError, ValueError, KeyError, TypeError):
+        value = read_json(path)
+        check(value, {"schema": (SCHEMA,), "places": [{"made_of": dict, "films": list, "failed": [str]}]})
+        return list(value["places"])
+    except (OSError, ValueError):
         return []
 
 

@@ -48,7 +48,7 @@ def disk_error(error: OSError, directory: object) -> UserError:
         )
     reason = error.strerror or str(error)
     return UserError(
-        f"cannot write to {place}: {reason}; choose another directory with --out or change its permissions"
+        f"cannot read or write {place}: {reason}; change its permissions, or choose another directory with --out"
     )
 
 
@@ -93,15 +93,20 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, interrupt)
     try:
-        status = main()
+        try:
+            status = main()
+        finally:
+            sys.stdout.flush()
     except (UserError, CheckpointError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        # a name in somebody's file must not command the terminal
+        words = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in str(error))
+        print(f"error: {words}", file=sys.stderr)
         status = USAGE
     except KeyboardInterrupt:
         say()
         status = INTERRUPTED
     except BrokenPipeError:  # the reader of our output (head, less) has gone
-        sys.stderr.close()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     except OSError as error:
         if error.filename is None and error.errno != errno.ENOSPC:

@@ -15,6 +15,7 @@ from typing import Any
 from filelock import FileLock
 
 from agents.checkpoint import atomic, open_regular, sync
+from agents.schema import parsed
 
 
 def canonical_json(value: Any) -> str:
@@ -39,9 +40,22 @@ def read_text(path: Path) -> str:
         return file.read().decode()
 
 
+def read_json(path: Path) -> Any:
+    """The value of a JSON file, see `agents.schema.parsed`. Raises OSError, or ValueError."""
+    return parsed(read_text(path))
+
+
 def not_followed(name: str, flags: int) -> int:
     """For `open(..., opener=)`: OSError where a link lies in the place of the file, or a pipe without a reader."""
     return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+
+
+def made(folder: Path) -> Path:
+    """A folder to write in, which is made if it is missing. Raises OSError where a link lies in its place."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if folder.is_symlink():
+        raise OSError(errno.ENOTDIR, "a link lies in its place", str(folder))
+    return folder
 
 
 def is_name(name: object) -> bool:

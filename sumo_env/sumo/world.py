@@ -62,9 +62,10 @@ class SumoSimulator:
                 self._session.forget()
                 self._check_window(error)
                 refusal = error
+        files = "" if scenario.traffic is None else f" of {dict(scenario.traffic.options)['net-file']}"
         raise SimulatorError(
-            f"SUMO cannot begin this episode ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it says "
-            f"is above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
+            f"SUMO cannot begin this episode{files} ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it "
+            f"says is above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
         ) from refusal
 
     def step(self, commands: Commands, trace: bool = False) -> Step:

@@ -11,6 +11,8 @@ import gzip
 import os
 import re
 import stat
+import zlib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -26,21 +28,44 @@ NOT_IN_NETWORKS = {
     *("laneAreaDetector", "e3Detector", "include", "entryExitDetector", "routeProbe", "vTypeProbe"),
     *("calibrator", "rerouter", "timedEvent", "variableSpeedSign"),
 }
+READERS = {"rerouter", "variableSpeedSign"}  # elements with a file of further elements
 FLOWS = {"flow", "personFlow", "containerFlow"}
 DAY = 86400.0  # [s] after which a flow ends that names no end
 MOST = 100.0  # departures of a flow [1/s]; a lane takes less than one
 DEEPEST = 50  # elements in each other; SUMO's own are ten at most
+CROWD = 10_000  # vehicles of one file that depart at one moment
 LARGEST = 1e9  # of any number: seconds, metres, m/s
+UNPACKED = 2**32  # bytes of a file
 # Attributes that are numbers, or words, or numbers among words such as normc(1, 0.1).
-NUMBERS = {
-    *("accel", "decel", "emergencyDecel", "apparentDecel", "maxSpeed", "desiredMaxSpeed"),
-    *("speedFactor", "speedDev", "tau", "minGap", "length", "width", "height", "sigma", "impatience"),
-    *("actionStepLength", "mass", "speed", "depart", "departPos", "departSpeed", "departPosLat"),
-    *("arrivalPos", "period", "arrivalSpeed", "begin", "end", "number", "probability", "vehsPerHour"),
-    *("perHour", "duration", "until", "startPos", "endPos", "pos", "freq", "shape", "repeat", "x", "y"),
-    *("z", "friction"),
+NUMBERS = (
+    "accel|decel|tau|length|width|height|sigma|impatience|mass|speed|depart|period|begin|end|number|probability|"
+    "vehsPerHour|perHour|duration|until|pos|freq|shape|repeat|x|y|z|friction|scale|offset|stepping|"
+    "(lc|jm|cc)[A-Z0-9].*|[a-z].*(Decel|Speed|Factor|Dev|Gap|Pos|Lat|Length|Duration|Offset|Time)"
+)
+# Options of a configuration; those of time are in seconds.
+LIMITS = {"step-length": (0.001, 10.0), "default.action-step-length": (0.0, 100.0), "scale": (0.0, 10.0)}
+LIMITS |= {
+    "threads": (0, 64),
+    "device.rerouting.threads": (0, 64),
+    "thread-rngs": (1, 1024),
+    "precision": (0, 20),
 }
-POSITIVE = {"lane": {"width", "length"}, "vType": {"length", "width", "accel", "decel", "maxSpeed"}}
+# What is possible, by element; of a distribution such as normc(1, 0.1) each number has to be.
+A_TYPE = {"length": (0.1, 1e3), "width": (0.1, 20.0), "accel": (0.01, 100.0), "decel": (0.01, 100.0)}
+A_TYPE |= {
+    "maxSpeed": (0.1, 1e3),
+    "actionStepLength": (0.0, 100.0),
+    "scale": (0.0, 10.0),
+    "speedFactor": (0.01, 10.0),
+}
+RANGES = {
+    "lane": {"length": (1e-3, LARGEST), "width": (1e-3, LARGEST), "speed": (0.0, 1e3)},
+    "vType": A_TYPE,
+    "route": {"repeat": (0.0, 1e4)},
+    "phase": {"duration": (1e-3, LARGEST)},
+    **{tag: {"departPos": (-1e5, 1e5), "speedFactor": (0.01, 10.0)} for tag in ("vehicle", "trip", "flow")},
+}
+is_number = lru_cache(1000)(re.compile(NUMBERS).fullmatch)  # whether an attribute of this name is one
 WORDS = re.compile(r"[^\s,;:()]+")
 SUSPECT = re.compile(
     r"nan|inf|e\+?\d\d|(?<![\d.])\d{10}|0x", re.IGNORECASE
@@ -53,6 +78,10 @@ def check_files(options: Mapping[str, str]) -> None:
     Raises:
         ConfigError: the file and the line, what is there, and why it is refused.
     """
+    for option, value in options.items():
+        low, high = LIMITS.get(option, (-LARGEST, LARGEST))
+        if not low <= _number(value.strip(), low) <= high:
+            raise ConfigError(f"{option}={value!r} must be a number from {low:g} to {high:g}")
     for option in set(INPUTS).intersection(options):
         is_network = option == "net-file"  # one file, whose name may have commas; lists have links without
         for name in [options[option]] if is_network else options[option].split(","):
@@ -88,7 +117,8 @@ def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> None:
 @lru_cache(256)
 def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Path, ...]:
     """Check the elements of one file; returns the files that it includes."""
-    parser, found, depth = expat.ParserCreate(), [], 0
+    parser, found, departing = expat.ParserCreate(), [], Counter[str]()
+    depth, left = 0, UNPACKED
 
     def refuse(what: str) -> NoReturn:
         raise ConfigError(f"{path}, line {parser.CurrentLineNumber}: {what}")
@@ -96,21 +126,34 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
     def element(tag: str, has: Mapping[str, str]) -> None:
         nonlocal depth
         depth += 1
+        if tag == "lane" and is_network and len(has.get("shape", "").split()) < 2:
+            refuse("a lane needs a shape of two points or more")
         if depth > DEEPEST:
             refuse(f"more than {DEEPEST} elements in each other")
         if is_network and tag in NOT_IN_NETWORKS:
             refuse(f"<{tag}> in a network may end the process: move it to an additional file")
+        if tag == "net" and not is_network:
+            refuse("a network in the place of routes or additional elements would end the process")
         for name, text in has.items():
-            if name in NUMBERS and SUSPECT.search(text):
+            if is_number(name) and SUSPECT.search(text):
                 for word in WORDS.findall(text):
                     if _is_none(word):
-                        refuse(f'<{tag} {name}="{text}"> is no number that SUMO can drive with')
+                        refuse(f'<{tag} {name}="{text:.60}"> is no number that SUMO can drive with')
             elif name in ("file", "output", "dest") and _is_connection(text):
-                refuse(f'<{tag} {name}="{text}"> opens a connection to another program: name a file')
-            if name in POSITIVE.get(tag, ()) and _number(text, 1.0) <= 0.0:
-                refuse(f'<{tag} {name}="{text}"> must be above 0')
-        if tag == "include" and "href" in has:
-            found.append(path.parent / has["href"])
+                refuse(f'<{tag} {name}="{text:.60}"> opens a connection to another program: name a file')
+            if (span := RANGES.get(tag, {}).get(name)) and not span[0] <= _number(text, span[0]) <= span[1]:
+                low, high = span
+                refuse(f'<{tag} {name}="{text:.60}"> must be from {low:g} to {high:g}')
+        if has.get("vClass", "passenger") not in _classes():
+            refuse(f'there is no vClass="{has["vClass"]:.60}"; SUMO would take another without a word')
+        if tag == "vehicle" or tag == "trip":
+            departing[has.get("depart", "")] += 1
+            if departing[has.get("depart", "")] > CROWD:
+                refuse(f'more than {CROWD:,} vehicles have depart="{has.get("depart", "")}"')
+        if tag == "include" or (tag in READERS and "file" in has):
+            if not (name := has.get("href", "") or has.get("file", "")):
+                refuse(f"<{tag}> names no file: SUMO would end the process")
+            found.append(path.parent / name)
         elif re.search("file|output", has.get("key", "")) and _is_connection(has.get("value", "")):
             refuse(f'"{has["key"]}" opens a connection to {has["value"]}: name a file')
         elif tag in FLOWS and (rate := _rate(has)) > MOST:
@@ -128,10 +171,22 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
     parser.StartDoctypeDeclHandler = document_type
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as opened:
-            parser.ParseFile(opened)
-    except (OSError, EOFError, expat.ExpatError) as error:
+            while part := opened.read(2**20):  # large parts: the parser begins again at each one
+                if (left := left - len(part)) < 0:
+                    refuse("more than 4 GiB when it is unpacked")
+                parser.Parse(part)
+            parser.Parse(b"", True)
+    except (OSError, EOFError, zlib.error, expat.ExpatError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None
     return tuple(found)
+
+
+@lru_cache(1)
+def _classes() -> frozenset[str]:
+    """SUMO's classes of vehicles."""
+    from sumolib.net.lane import SUMO_VEHICLE_CLASSES
+
+    return frozenset((*SUMO_VEHICLE_CLASSES, "ignoring"))
 
 
 def _number(text: str, otherwise: float) -> float:

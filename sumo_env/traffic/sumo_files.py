@@ -108,7 +108,7 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     several = [given] if isinstance(given, str | Path) else list(given)
     found = tuple(Path(os.path.realpath(path)) for path in several)
     for path in found:
-        if not path.is_file():
+        if not os.path.isfile(path):  # also where the name is longer than any
             raise ConfigError(f"{name}: there is no file {path}")
     # the session does this for a network; of the others there may be several
     return found if name.endswith(("network", "net-file")) else tuple(map(plain_path, found))

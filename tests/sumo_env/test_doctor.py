@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from pathlib import Path
 
@@ -79,3 +80,12 @@ def test_episodes_that_differ_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DrivingEnv, "reset", lambda self, **kwargs: reset(self, seed=next(seeds)))
     with pytest.raises(RuntimeError, match="two different episodes"):
         doctor.task("sumo/u-turn-v0")
+
+
+def test_a_reader_that_leaves_is_no_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As ``head -1`` does, or ``less`` that is left."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        assert doctor.main([]) == 1

@@ -27,7 +27,7 @@ from filelock import FileLock, Timeout
 
 from experiments.study.results.working import LOCK, LOG, PROGRESS, last_words
 from experiments.support.errors import UserError, disk_error
-from experiments.support.files import not_followed
+from experiments.support.files import made, not_followed
 
 RETRIES = 3  # a task that goes wrong is begun again at most so often
 # Exit status of a process that faulthandler ends, and of one that must not be used again.
@@ -134,7 +134,7 @@ def log(folder: Path, text: str) -> None:
 def locked(folder: Path) -> Iterator[bool]:
     """Hold the lock of a working folder, which is made if it is missing; yields False if another process holds it."""
     while True:
-        folder.mkdir(parents=True, exist_ok=True)
+        made(folder.parent), made(folder)
         lock = FileLock(folder / LOCK, timeout=0, fallback_to_soft=False)
         try:
             lock.acquire()

@@ -5,16 +5,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from agents.schema import check
 from experiments.study.design.fingerprint import dynamics
-from experiments.support.files import write_json
+from experiments.support.files import read_json, write_json
 
 SCHEMA = 2
+RECORD = {"schema": (SCHEMA,), "versions": dict, "fingerprints": dict, "tasks": dict}
+MISSED = {
+    **dict.fromkeys(("traffic", "level", "name", "ego", "note"), str),
+    "sumo": float,
+    "reference": float,
+}
+VERDICT = {"counts": dict.fromkeys(("equivalent", "within", "missed"), int), "missed": [MISSED]}
 STORED = Path(__file__).resolve().parents[2] / "validation" / "verdict.json"
 
 
@@ -26,10 +33,13 @@ def versions() -> dict[str, str]:
 def of_results(directory: Path) -> dict[str, Any] | None:
     """The verdict in a folder of results; None if there is none that this version understands."""
     try:
-        record: dict[str, Any] = json.loads((directory / STORED.name).read_text())
-        return record if record["schema"] == SCHEMA else None
-    except (OSError, ValueError, KeyError, TypeError):
+        record: dict[str, Any] = read_json(directory / STORED.name)
+        check(record, RECORD)
+        for task, verdict in record["tasks"].items():
+            check(verdict, VERDICT, task)
+    except (OSError, ValueError):
         return None
+    return record
 
 
 def copy_verdict(backend: str, tasks: Sequence[str], out: Path) -> None:

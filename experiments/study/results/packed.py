@@ -19,10 +19,10 @@ from typing import Any
 import pandas as pd
 
 from agents.checkpoint import open_regular
-from agents.schema import Wrong, check, shortened
-from experiments.study.results.schema import TEXT, check_columns, check_episodes, check_record, parsed
+from agents.schema import Wrong, check, parsed, shortened
+from experiments.study.results.schema import TEXT, check_columns, check_episodes, check_record
 from experiments.support.errors import UserError
-from experiments.support.files import is_name, read_text, sha256_bytes, sha256_file, write_file, write_json
+from experiments.support.files import is_name, made, read_json, sha256_bytes, sha256_file, write_file, write_json
 
 LAYOUT = 1  # of the tables; raise it with every change that older versions cannot read
 MANIFEST, CELLS, WEIGHTS = "packed.json", "cells.parquet", "weights"
@@ -66,7 +66,7 @@ def checksums(directory: Path) -> dict[str, tuple[str, ...]]:
     """
     manifest = directory / MANIFEST
     try:
-        value = parsed(read_text(manifest))
+        value = read_json(manifest)
         check(value, {"layout": int, "files": dict})
         layout, files = value["layout"], {name: tuple(sums) for name, sums in value["files"].items()}
         if layout == LAYOUT and not (CELLS in files and all(map(is_name, files))):
@@ -164,7 +164,7 @@ def add(
     }
     contents = {file: _joined(file, of_cells) for file, of_cells in parts.items()}
     for name, path in weights.items():
-        packed_weights(directory, name).parent.mkdir(exist_ok=True)
+        made(directory / WEIGHTS)
         write_file(packed_weights(directory, name), path.read_bytes())
     new = {file: [sha256_bytes(data)] for file, data in contents.items()}
     for file in contents.keys() - before.keys():  # nobody reads them before the manifest names them

@@ -6,10 +6,12 @@ writes: every column with its type and range, every scenario once, every name on
 
 from __future__ import annotations
 
-import json
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple, NoReturn
+from datetime import datetime
+from itertools import chain
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pandas as pd
@@ -18,9 +20,10 @@ from pandas.api import types
 from agents.schema import Wrong, check, shortened
 from experiments.backends import SIMULATORS
 from experiments.study.design.arms import EVERY_ARM, PAIRS, gate_traffics
-from experiments.study.design.grid import LEARNER, cell_name
+from experiments.study.design.grid import LEARNER, RESULT_SCHEMA, cell_name
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.support.files import is_name
+from sumo_env.contacts.crash import CrashType
 from sumo_env.tasks import TASKS
 
 EPISODES, GATES = "episodes.parquet", "gates.parquet"
@@ -35,21 +38,22 @@ TEST = {"backend": tuple(SIMULATORS), "traffics": [tuple(ALL)], "episodes": COUN
 PAIR = {"agents": [str], "weight": str, "rule?": [int | float], "estimator_sha256?": str}
 NUMBERS, OR_NONE = [int | float], [int | float | None]  # None: of a part of a training in which no episode has ended
 RECORD = {
-    **{"schema": int, "key": KEY, "versions": dict, "files": {EPISODES: str}, "provenance?": {"packages?": dict}},
+    **{"schema": (RESULT_SCHEMA,), "key": KEY, "versions": dict, "files": {EPISODES: str}, "provenance?": {"packages?": dict}},
     "timing?": {"finished?": str, "train_seconds?": int | float, "test_seconds?": int | float},
     "learner?": {"curve?": {"step": NUMBERS, "return": OR_NONE, "crashed": OR_NONE}},
 }
 OF_AGENT = {"timing": {"finished": str}, "learner": dict}
-OF_Q = {"learner": {"probe_q": [OR_NONE], "q_bound": int | float}}  # of one that has learnt Q-values
+OF_Q = {"learner": {"probe_q": [OR_NONE * 3], "q_bound": int | float}}  # of one that has learnt Q-values
 
 
 class Column(NamedTuple):
-    """Of a table: type and range of its values, and whether they may be missing."""
+    """Of a table: type and range of its values, whether they may be missing, and those that are possible."""
 
     type: str
     low: float = -math.inf
     high: float = math.inf
     missing: bool = False
+    among: tuple[str, ...] = ()
 
 
 MOST = 1e12  # any quantity of an episode is below
@@ -58,7 +62,7 @@ NUMBER, AMOUNT = Column("float64", -MOST, MOST), Column("float64", 0, MOST)
 OF_CRASH, TEXT_OF_CRASH = NUMBER._replace(missing=True), Column("str", missing=True)
 # Columns of episodes.parquet, one row a test episode.
 COLUMNS = {
-    "traffic": TEXT,  # "regular", "risky", or another of `traffic.ALL`
+    "traffic": TEXT._replace(among=tuple(ALL)),  # "regular", "risky", or another of `traffic.ALL`
     "scenario": COUNTED,  # number of the scenario, the same seed in both traffics
     "return": NUMBER,  # undiscounted sum of rewards
     "length": Column("int64", 1),  # policy steps
@@ -80,8 +84,8 @@ COLUMNS = {
     "crash_relative_y": OF_CRASH,
     "crash_relative_heading": OF_CRASH,  # [rad]
     "crash_closing_speed": OF_CRASH,  # [m/s]
-    "crash_type": TEXT_OF_CRASH,
-    "crash_detected_by": TEXT_OF_CRASH,
+    "crash_type": TEXT_OF_CRASH._replace(among=get_args(CrashType)),
+    "crash_detected_by": TEXT_OF_CRASH._replace(among=("sumo", "geometry", "both", "highway-env")),
     "actions": TEXT_OF_CRASH,  # the actions one after the other, a digit each; cells of earlier versions lack them
 }
 # Columns of gates.parquet.
@@ -97,28 +101,18 @@ IS_OF: dict[str, Callable[[Any], bool]] = {
 }
 
 
-def parsed(text: str | bytes) -> Any:
-    """A value of strict JSON. Raises ValueError, also for NaN, infinity, and what is nested too deeply."""
-
-    def refuse(word: str) -> NoReturn:
-        raise Wrong(f"it has the number {word}")
-
-    try:
-        return json.loads(text, parse_constant=refuse)
-    except RecursionError:
-        raise Wrong("it is nested too deeply") from None
-
-
 def check_record(name: str, record: Any) -> None:
     """That this can be cell.json of the cell of this name. Raises Wrong, which names the entry."""
     check(record, {"files": dict})
-    if wrong := [file for file, digest in record["files"].items() if not (is_name(file) and isinstance(digest, str))]:
-        raise Wrong(f"it names files elsewhere: {wrong[:3]}")
+    if odd := [name for name, digest in record["files"].items() if not (is_name(name) and isinstance(digest, str))]:
+        raise Wrong(f"it names files elsewhere: {odd[:3]}")
     check(record, RECORD)
     key = record["key"]
     levels = list(TASKS[key["task"]].levels)
     check(key, {"level_name": tuple(levels)}, "key")
     check(key, {"level": (levels.index(key["level_name"]) + 1,)}, "key")
+    if "finished" in (timing := record.get("timing", {})):
+        datetime.fromisoformat(timing["finished"])
     is_agent = key["kind"] != "baseline"
     arms = tuple(PAIRS if "pair" in key else EVERY_ARM) if is_agent else (None,)
     check(key, {"arm": arms, "seed": COUNT if is_agent else (None,)}, "key")
@@ -126,12 +120,16 @@ def check_record(name: str, record: Any) -> None:
         check(key, {"test_on": TEST, "pair?": PAIR}, "key")
     elif "test_on" in key:
         raise Wrong("key.test_on is for further tests alone")
+    if key["kind"] != "test" and key["eval"]["gate_episodes"]:
+        check(record, {"files": {GATES: str}})
     if key["kind"] == "agent":
         check(record, OF_AGENT)
     if key["kind"] == "agent" and key["policy"] == LEARNER:
         check(record, OF_Q)
-        if not record["learner"]["probe_q"] or any(len(row) != 3 for row in record["learner"]["probe_q"]):
-            raise Wrong("learner.probe_q must have rows of three values")
+        if not record["learner"]["probe_q"] or record["learner"]["q_bound"] < 0:
+            raise Wrong("learner.probe_q is empty, or learner.q_bound below 0")
+    if len({len(values) for values in record.get("learner", {}).get("curve", {}).values()}) > 1:
+        raise Wrong("learner.curve has columns of several lengths")
     if (own := cell_name(key, record["versions"])) != name:
         raise Wrong(f"its content is that of {own}")
 
@@ -150,7 +148,11 @@ def check_columns(table: pd.DataFrame, columns: Mapping[str, Column], needed: It
             raise Wrong(f"column {name!r} must be of type {column.type}, not {values.dtype}")
         if values.dtype == object and kind == "str":
             _all(values.map(lambda value: isinstance(value, str)) | absent, f"column {name!r} has {{}}", values)
-        good = values.between(column.low, column.high) if kind in ("int", "float") else ~absent
+        good = ~absent
+        if kind in ("int", "float"):
+            good &= values.between(column.low, column.high)
+        elif column.among:
+            good &= values.isin(column.among)
         _all(good | (absent & column.missing), f"column {name!r} has {{}}", values)
 
 
@@ -163,7 +165,8 @@ def check_episodes(file: str, table: pd.DataFrame) -> None:
     _all(counted == length, "has {} actions, and its length is another number", counted)
     _all(table["near_misses"] <= length, "has {} near misses, more than steps", table["near_misses"])
     if file == EPISODES:
-        _all(table["crash_time"].notna() == table["crashed"], "crash_time {} does not fit crashed", table["crash_time"])
+        for name in (column for column in COLUMNS if column.startswith("crash_")):
+            _all(table[name].notna() == table["crashed"], f"{name} {{}} does not fit crashed", table[name])
     if "actions" in table:
         told = table["actions"].fillna("")
         fits = (told.str.len() == length) & told.str.fullmatch("[0-4]*")
@@ -186,11 +189,11 @@ def check_rows(key: Mapping[str, Any], file: str, table: pd.DataFrame) -> None:
     else:
         return
     first = key["eval"].get("first_scenario", 0)
-    wanted = {(traffic, first + k) for traffic in asked["traffics"] for k in range(asked["episodes"])}
-    found = list(zip(table["traffic"].tolist(), table["scenario"].tolist(), strict=True))
-    if len(found) != len(wanted) or set(found) != wanted:
-        odd = sorted(wanted.symmetric_difference(found) or {row for row in found if found.count(row) > 1})
+    numbers = range(first, first + asked["episodes"])  # of a record, which may ask for any number
+    wanted = ((traffic, number) for traffic in asked["traffics"] for number in numbers)
+    rows = Counter(zip(table["traffic"].tolist(), table["scenario"].tolist(), strict=True))
+    for traffic, number in chain((row for row in wanted if rows.pop(row, 0) != 1), rows):
         raise Wrong(
-            f"it has {len(found)} rows, and its record asks for {len(wanted)}: look at scenario {odd[0][1]} in "
-            f"{odd[0][0]} traffic"
+            f"it has {len(table)} rows, and its record asks for {len(asked['traffics']) * len(numbers)}: look at "
+            f"scenario {number} in {traffic} traffic"
         )

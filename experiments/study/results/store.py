@@ -36,16 +36,16 @@ from experiments.study.results.packed import (
     packed_weights,
     read_table,
 )
-from experiments.study.results.schema import EPISODES, GATES, check_episodes, check_record, check_rows, parsed
+from experiments.study.results.schema import COLUMNS, EPISODES, GATES, check_episodes, check_record, check_rows
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
 from agents.checkpoint import open_regular
-from agents.schema import Wrong, check
+from agents.schema import Wrong, check, parsed, shortened
 from experiments.support.files import (
     alone,
-    is_name,
+    made,
     publish,
-    read_text,
+    read_json,
     sha256_bytes,
     sha256_file,
     write_file,
@@ -148,7 +148,8 @@ class Store:
         """
         staged = self.work / cell.name / f"finished-{socket.gethostname()}-{os.getpid()}"
         shutil.rmtree(staged, ignore_errors=True)
-        staged.mkdir(parents=True)
+        made(staged.parent)
+        staged.mkdir()
         for name, content in files.items():
             write_file(
                 staged / name, content.read_bytes() if isinstance(content, Path) else as_parquet(content)
@@ -162,8 +163,7 @@ class Store:
             "files": {name: sha256_file(staged / name) for name in sorted(files)},
         }
         write_file(staged / CELL, seal(value))
-        self.cells.mkdir(exist_ok=True)
-        publish(staged, self.cells / cell.name)
+        publish(staged, made(self.cells) / cell.name)
 
     def sweeps(self) -> list[dict[str, Any]]:
         """The sweeps that have asked for cells, with `command` and the names of the `cells`, oldest first.
@@ -173,8 +173,11 @@ class Store:
         """
         path = self.directory / SWEEPS
         try:
-            noted = parsed(read_text(path))
+            noted = read_json(path)
             check(noted, {"sweeps": [{"command": str, "cells": [str]}]})
+            for sweep in noted["sweeps"]:
+                if odd := [text for text in (sweep["command"], *sweep["cells"]) if not text.isprintable()]:
+                    raise Wrong(f"it has characters that cannot be shown, in {shortened(odd[0])}")
             return [{"command": sweep["command"], "cells": sweep["cells"]} for sweep in noted["sweeps"]]
         except FileNotFoundError:
             return []
@@ -193,8 +196,7 @@ class Store:
             UserError: the note of earlier sweeps cannot be read.
             OSError: the directory cannot be made or written.
         """
-        for path in (self.cells, self.work):
-            path.mkdir(parents=True, exist_ok=True)
+        made(self.cells), made(self.work)
         wanted = dict.fromkeys(cell.name for cell in cells)
         settings = tuple({f"{setting(cell.key())}-" for cell in cells})
         with alone(self.directory):
@@ -219,8 +221,7 @@ class Store:
 
     def put_aside(self, path: Path) -> Path:
         """Move something damaged into DIR/damaged under a name of its own, and return that."""
-        folder = self.directory / "damaged"
-        folder.mkdir(exist_ok=True)
+        folder = made(self.directory / "damaged")
         target = folder / f"{'-'.join(path.relative_to(self.directory).parts[1:])}.{time.time_ns()}"
         with suppress(FileNotFoundError):  # another sweep was faster
             path.rename(target)
@@ -369,6 +370,7 @@ def _concatenate(tables: Mapping[str, pd.DataFrame], keys: pd.DataFrame) -> pd.D
         return keys.iloc[:0].reset_index(drop=True)
     cells = [name for name, table in tables.items() for _ in range(len(table))]
     rows = pd.concat(tables.values(), ignore_index=True)
+    rows = rows[[name for name in COLUMNS if name in rows]]
     if "actions" in rows:  # cells of earlier versions lack them
         rows["actions"] = rows["actions"].astype("str")
     return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)

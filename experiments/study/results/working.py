@@ -7,15 +7,20 @@ log.txt        what went wrong, with the stack of every thread after a crash or 
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+from agents.checkpoint import open_regular
+from experiments.support.files import read_text
+
+LAST = 10_000  # bytes of a log that are looked at
 LOCK, PROGRESS, LOG = "lock", "progress.json", "log.txt"
 
 
 def fraction_done(folder: Path) -> float:
     """The share of a running task that is done, 0 if it has not said so yet."""
     try:
-        return float((folder / PROGRESS).read_text())
+        return float(read_text(folder / PROGRESS))
     except (OSError, ValueError):
         return 0.0
 
@@ -26,7 +31,9 @@ def last_words(folder: Path) -> str:
         # A try begins by saying that nothing is done.
         if _changed(folder / LOG) < _changed(folder / PROGRESS):
             return ""
-        return (folder / LOG).read_text(errors="replace").rstrip().rpartition("\n")[2]
+        with open_regular(folder / LOG) as file:
+            file.seek(max(os.fstat(file.fileno()).st_size - LAST, 0))
+            return file.read(LAST).decode(errors="replace").rstrip().rpartition("\n")[2]
     except OSError:
         return ""
 

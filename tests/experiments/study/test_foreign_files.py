@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +23,17 @@ from agents.episodes import Episodes
 from agents.greedy import Greedy
 from agents.models import DuelingMLP, EgoAttention
 from agents.plugins import sha256
+from experiments.reporting import showcase
 from experiments.study.compute.policies import driver
-from experiments.study.compute.run import log, watched
+from experiments.study.compute.run import locked, log, watched
 from experiments.study.design.grid import learner_of
+from experiments.study.design.verdict import of_results
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results import packed, store
 from experiments.study.results.store import Store, load
-from experiments.study.results.working import LOG, PROGRESS
+from experiments.study.results.working import LOCK, LOG, PROGRESS, fraction_done
 from experiments.support.errors import UserError, run_command
-from experiments.support.files import sha256_file
+from experiments.support.files import alone, made, sha256_file
 from experiments.support.films import check_film, save_gif
 from tests.experiments.fake_env import FakeEnv
 
@@ -164,6 +168,72 @@ def test_a_link_in_the_place_of_an_output_is_not_followed(kind: str, tmp_path: P
     assert precious.read_text() == "mine"
 
 
+@pytest.mark.parametrize("kind", ["weights", "work", "cells", "damaged"])
+def test_a_link_in_the_place_of_a_folder_is_not_followed(kind: str, results: Path, tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    shutil.rmtree(results / kind, ignore_errors=kind != "cells")
+    (results / kind).symlink_to(precious)
+    with pytest.raises(OSError, match="a link lies in its place"):
+        made(results / kind)
+    with pytest.raises(OSError, match="a link lies in its place"):
+        if kind == "weights":
+            Store(results).pack()
+        elif kind == "damaged":
+            Store(results).put_aside(min((results / "cells").iterdir()))
+        else:
+            Store(results).write_sweep("sweep", [])
+    assert not list(precious.iterdir())
+
+
+@pytest.mark.parametrize("lock", ["alone", "locked"])
+def test_a_link_in_the_place_of_a_lock_is_not_followed(lock: str, tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    folder = made(tmp_path / "folder")
+    (folder / (".lock" if lock == "alone" else LOCK)).symlink_to(precious)
+    with alone(folder) if lock == "alone" else locked(folder):
+        pass
+    assert precious.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "file", [f"work/cell/{LOG}", f"work/cell/{PROGRESS}", "showcase.json", "verdict.json"]
+)
+@pytest.mark.parametrize("kind", ["pipe", "device", "list", "nested", "number"])
+def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path) -> None:
+    place = results / file
+    made(place.parent)
+    if kind == "pipe":
+        os.mkfifo(place)
+    elif kind == "device":
+        place.symlink_to("/dev/zero")
+    else:
+        place.write_text({"list": "[1, 2]", "nested": "[" * 100_000, "number": '{"schema": 1e999}'}[kind])
+    Store(results).failures()
+    assert fraction_done(results / "work" / "cell") == 0.0
+    assert showcase._stored(results / showcase.FILE) == []
+    assert of_results(results) is None
+
+
+def test_a_name_does_not_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    def command() -> int:
+        raise UserError("\x1b]0;evil\x07 and\u202e other words")
+
+    with pytest.raises(SystemExit):
+        run_command(command)
+    assert capsys.readouterr().err == "error: \\x1b]0;evil\\x07 and\\u202e other words\n"
+
+
+@pytest.mark.parametrize("text", ["\x1b]0;evil\x07", "\u202etxt"])
+@pytest.mark.parametrize("where", ["command", "cells"])
+def test_a_sweep_is_noted_in_characters_that_can_be_shown(text: str, where: str, results: Path) -> None:
+    sweep = {"command": "sweep", "cells": ["cell"]} | {where: text if where == "command" else [text]}
+    (results / store.SWEEPS).write_text(json.dumps({"sweeps": [sweep]}))
+    with pytest.raises(UserError, match=r"characters that cannot be shown"):
+        load(results)
+
+
 def test_a_film_is_refused_before_it_is_made(tmp_path: Path) -> None:
     for name in ("film.mp4", "film", "film.gif.txt"):
         with pytest.raises(UserError, match="the name of a film ends in"):
@@ -184,7 +254,25 @@ def test_what_cannot_be_written_is_said_in_a_line(error: OSError, capsys: pytest
         run_command(command)
     said = capsys.readouterr().err
     assert ended.value.code == 2 and said.startswith("error: ") and said.count("\n") == 1
-    assert "no space left" in said or "cannot write to x.parquet: Permission denied" in said
+    assert "no space left" in said or "cannot read or write x.parquet: Permission denied" in said
+
+
+@pytest.mark.parametrize("ends", [int, sys.exit])  # at its end, or while it is parsed (--help)
+def test_a_reader_that_leaves_is_no_problem(
+    ends: Callable[[], Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As ``head -1`` does."""
+
+    def command() -> int:
+        print("words")
+        return int(ends())
+
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as out, pytest.raises(SystemExit) as ended:
+        monkeypatch.setattr(sys, "stdout", out)
+        run_command(command)
+    assert (ended.value.code, capsys.readouterr().err) == (1, "")
 
 
 def test_weights_and_values_are_numbers(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
-"""A packing that is killed at any file operation: the folder can be read, and the same command packs it."""
+"""A packing whose process is killed at any file operation: the folder can be read, and the same command packs it."""
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import sys
 from pathlib import Path
 
@@ -35,42 +37,26 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {"first": home / "first", "later": home / "later"}
 
 
-class Killed(BaseException):
-    """Nothing happens on the disk after it, as after a kill: whatever is tried to clean up fails."""
+def packs(directory: Path, operations: int) -> bool:
+    """Pack in a process that is killed after so many operations on the folder's files; whether it came to its end."""
+    cells, left = f"{directory}/cells", operations  # the cells' own files are only read
 
+    def kill(event: str, arguments: tuple[object, ...]) -> None:
+        nonlocal left
+        if event in OPERATIONS and str(directory) in (path := str(arguments[0])) and cells not in path:
+            left -= 1
+            if left < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
 
-class Killer:
-    """Lets so many operations on the files of a folder happen, and none after them."""
-
-    directory, left = "", 0
-
-    def __call__(self, event: str, arguments: tuple[object, ...]) -> None:
-        if self.directory and event in OPERATIONS and self._counts(str(arguments[0])):
-            self.left -= 1
-            if self.left < 0:
-                raise Killed
-
-    def _counts(self, path: str) -> bool:
-        return self.directory in path and f"{self.directory}/cells" not in path  # these are only read
-
-    def packs(self, directory: Path, operations: int) -> bool:
-        """Whether a packing comes to its end before it is killed."""
-        clear_caches()
-        self.directory, self.left = str(directory), operations
-        try:
-            Store(directory).pack()
-        except Killed:
-            return False
-        finally:
-            self.directory = ""
-        return True
-
-
-@pytest.fixture(scope="module")
-def killer() -> Killer:
-    hook = Killer()
-    sys.addaudithook(hook)  # for as long as the process lives
-    return hook
+    clear_caches()
+    pid = os.fork()
+    if pid == 0:
+        sys.addaudithook(kill)
+        Store(directory).pack()
+        os._exit(0)
+    status = os.waitpid(pid, 0)[1]
+    assert status in (0, signal.SIGKILL)
+    return status == 0
 
 
 def clear_caches() -> None:
@@ -84,17 +70,6 @@ def content(directory: Path) -> pd.DataFrame:
     return found.sort_values(["cell", "traffic", "scenario"]).reset_index(drop=True)
 
 
-def killed(original: Path, directory: Path, share: float, killer: Killer) -> Path:
-    """A copy whose packing was killed after a share of its operations."""
-    whole, many = directory.with_name("whole"), 10_000
-    shutil.copytree(original, whole)
-    assert killer.packs(whole, many)
-    shutil.copytree(original, directory)
-    assert not killer.packs(directory, int(share * (many - killer.left)))
-    shutil.rmtree(whole)
-    return directory
-
-
 def assert_whole(directory: Path, expected: pd.DataFrame) -> None:
     """That a folder can be read, packed by the same command, and read without the cells' own folders."""
     pd.testing.assert_frame_equal(content(directory), expected)
@@ -106,16 +81,16 @@ def assert_whole(directory: Path, expected: pd.DataFrame) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["first", "later", "again"])
-def test_every_kill(kind: str, folders: dict[str, Path], killer: Killer, tmp_path: Path) -> None:
+def test_every_kill(kind: str, folders: dict[str, Path], tmp_path: Path) -> None:
     """As many kills as a packing has operations on files; "again": of one that repeats a killed one."""
     original = folders["first" if kind == "first" else "later"]
     before, operations, whole = content(original), 0, False
     if kind == "again":
-        original = killed(original, tmp_path / "original", 0.6, killer)
+        original = shutil.copytree(original, tmp_path / "original")
+        assert not packs(original, 20)
     while not whole:
-        directory = tmp_path / str(operations)
-        shutil.copytree(original, directory)
-        whole = killer.packs(directory, operations)
+        directory = shutil.copytree(original, tmp_path / str(operations))
+        whole = packs(directory, operations)
         assert_whole(directory, before)
         shutil.rmtree(directory)
         operations += 1
@@ -123,9 +98,10 @@ def test_every_kill(kind: str, folders: dict[str, Path], killer: Killer, tmp_pat
     assert operations > 15
 
 
-@pytest.mark.parametrize("kind", ["first", "later"])
-@pytest.mark.parametrize("share", [0.5, 0.8])
-def test_a_kill(kind: str, share: float, folders: dict[str, Path], killer: Killer, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("kind", "operations"), [("first", 9), ("first", 15), ("later", 17), ("later", 27)])
+def test_a_kill(kind: str, operations: int, folders: dict[str, Path], tmp_path: Path) -> None:
     """Some of these kills, between the first table and the last manifest."""
     before = content(folders[kind])
-    assert_whole(killed(folders[kind], tmp_path / "killed", share, killer), before)
+    directory = shutil.copytree(folders[kind], tmp_path / "killed")
+    assert not packs(directory, operations)
+    assert_whole(directory, before)

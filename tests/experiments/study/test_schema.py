@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.schema import Wrong, check
-from experiments.study.results.schema import parsed
+from agents.schema import Wrong, check, parsed
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.faults.corruptions import results_of, rewrite, small, wrong_contents
@@ -24,7 +23,7 @@ SAID = {
     "key.seed='0'": r"key\.seed must be a whole number from 0 to .*, not '0'",
     "no key.eval": r"key\.eval is missing",
     "key is a list": r"key must be dict, not \[\]",
-    "probe values empty": r"learner\.probe_q must have rows of three values",
+    "probe values empty": r"learner\.probe_q is empty",
     "episodes.parquet return=nan": r"row 0: column 'return' has .*nan",
     "episodes.parquet no crashed": "it has no column 'crashed'",
     "episodes.parquet a cell without rows": "it has no rows",
@@ -60,7 +59,7 @@ def test_what_a_comparison_lacks_stands_in_the_report(way: str, packed_cells: Pa
 
 
 def test_strict_json() -> None:
-    for text in ('{"a": NaN}', '{"a": -Infinity}', "[" * 100_000, "{", ""):
+    for text in ('{"a": NaN}', '{"a": -Infinity}', '{"a": 1e999}', "[" * 100_000, "{", ""):
         with pytest.raises(ValueError, match=r".+"):
             parsed(text)
     assert parsed('{"a": [1, null]}') == {"a": [1, None]}
@@ -75,6 +74,7 @@ def test_strict_json() -> None:
         (5, range(3), "it must be a whole number from 0 to 2, not 5"),
         (["x"], ("x", None), "it must be one of x, None, not ['x']"),
         (3, {"a": int}, "it must be dict, not 3"),
+        ([1, 2], [int] * 3, "it must have 3 items, not 2"),
     ],
 )
 def test_expectations(value: object, expected: object, said: str) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
+from sumo_env.traffic import foreign
 from sumo_env.traffic.foreign import check_files
 from sumo_env.traffic.sumo_files import configuration
 from tests.sumo_env.plans import needs_sumo
@@ -143,7 +144,7 @@ def test_numbers_are_numbers(name: str, number: str, tmp_path: Path) -> None:
 def test_words_and_long_numbers_are_allowed(tmp_path: Path) -> None:
     file = tmp_path / "a.rou.xml"
     file.write_text(
-        '<routes><vType id="nan" accel="2.123456789012345" speedFactor="normc(1,0.1,0.2,2)" length="1e-12"/>'
+        '<routes><vType id="nan" accel="2.123456789012345" speedFactor="normc(1,0.1,0.2,2)" height="1e-12"/>'
         '<vehicle id="1e308" depart="triggered" departPos="random_free" departSpeed="speedLimit" line="infinity"/>'
         '<flow id="inf" begin="1:00:00" end="999999999" vehsPerHour="1800" departLane="best"/></routes>'
     )
@@ -153,14 +154,17 @@ def test_words_and_long_numbers_are_allowed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "element",
     [
-        'lane id="a" width="0"',
-        'lane id="a" length="-1"',
+        'lane id="a" index="0" shape="0,0 9,0" width="0"',
+        'lane id="a" index="0" shape="0,0 9,0" length="-1"',
         'vType id="a" length="0"',
         'vType id="a" maxSpeed="-3"',
+        'vType id="a" scale="1e9"',
+        'route id="a" repeat="999999999"',
+        'trip id="a" departPos="1e8"',
     ],
 )
-def test_lengths_are_above_0(element: str, tmp_path: Path) -> None:
-    assert "must be above 0" in refused(f"<net><{element}/></net>", tmp_path, ".net.xml")
+def test_numbers_are_possible(element: str, tmp_path: Path) -> None:
+    assert re.search(r"must be from \S+ to \S+", refused(f"<net><{element}/></net>", tmp_path, ".net.xml"))
 
 
 @pytest.mark.parametrize(
@@ -205,3 +209,24 @@ def test_a_pipe_is_not_waited_for(argument: str, town: Path, tmp_path: Path) -> 
     os.mkfifo(files[argument])
     with pytest.raises(ConfigError, match=r"there is no file .*pipe\.xml"):
         SumoDrivingEnv(**files, ego_vehicle="ego")
+
+
+def test_what_is_read_has_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that unpacks to more than memory, one word of megabytes, and a crowd at one moment."""
+    monkeypatch.setattr(foreign, "UNPACKED", 2**20)
+    assert "GiB when it is unpacked" in refused(f"<routes>{' ' * 2**21}</routes>", tmp_path, ".rou.xml.gz")
+    monkeypatch.undo()
+    refused(f"<routes><!--{'x' * 10**7}--><include/></routes>", tmp_path)
+    crowd = '<trip id="a" depart="2"/>' * (foreign.CROWD + 1)
+    assert 'more than 10,000 vehicles have depart="2"' in refused(f"<routes>{crowd}</routes>", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "option", ["step-length=0", "step-length=nan", "scale=1e9", "begin=inf", "threads=100000"]
+)
+def test_options_are_possible(option: str, town: Path) -> None:
+    name, _, value = option.partition("=")
+    config = town / "odd.sumocfg"
+    config.write_text((town / "t.sumocfg").read_text().replace("<time>", f'<time><{name} value="{value}"/>'))
+    with pytest.raises(ConfigError, match=rf"odd\.sumocfg: {name}='{value}' must be a number from"):
+        SumoDrivingEnv(config, ego_vehicle="ego")

@@ -76,7 +76,7 @@ def test_a_worker_that_is_killed_is_named(no_inheritance: None) -> None:
 def test_a_worker_that_dies_before_it_connects_is_named(
     no_inheritance: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sumo_env.sumo.process._interpreter", lambda: "/bin/false")
+    monkeypatch.setattr(link, "interpreter", lambda: "/bin/false")
     simulator = SumoProcess(FAKE)
     with pytest.raises(SimulatorDied, match="ended with exit code 1"):
         simulator.reset(scenario(3))

@@ -184,6 +184,9 @@ def check_rows(key: Mapping[str, Any], file: str, table: pd.DataFrame) -> None:
     """That a cell's table has each of its scenarios once, in each of its traffics. Raises Wrong, with the scenario."""
     if file == EPISODES:
         asked = {"traffics": TRAFFICS, "episodes": key["eval"]["episodes"], **(key.get("test_on") or {})}
+        frequency = (asked.get("env_config") or key["env_config"]).get("policy_frequency", 1)
+        is_before_end = table["crash_time"].fillna(0.0) <= (table["length"] + 1) / frequency
+        _all(is_before_end, "crash_time {} is after the end of the episode", table["crash_time"])
     elif file == GATES:
         asked = {"traffics": gate_traffics(key["arm"]), "episodes": key["eval"]["gate_episodes"]}
     else:

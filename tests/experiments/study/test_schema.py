@@ -29,6 +29,7 @@ SAID = {
     "episodes.parquet a cell without rows": "it has no rows",
     "episodes.parquet half of the scenarios": r"it has \d+ rows, and its record asks for \d+: look at scenario 1 in",
     "gates.parquet twice": r"it has \d+ rows, and its record asks for \d+",
+    "rows: crash after the end": r"crash_time 10000\d\d.* is after the end of the episode",
     "gates.parquet near_misses=10000": "row 0: has 10000 near misses, more than steps",
 }
 

@@ -133,7 +133,7 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
         if is_network and tag in NOT_IN_NETWORKS:
             refuse(f"<{tag}> in a network may end the process: move it to an additional file")
         if tag == "net" and not is_network:
-            refuse("a network in the place of routes or additional elements would end the process")
+            refuse("this is a network, and no file of routes or additional elements")
         for name, text in has.items():
             if is_number(name) and SUSPECT.search(text):
                 for word in WORDS.findall(text):

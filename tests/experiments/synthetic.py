@@ -73,6 +73,9 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         table[[f"action_{k}" for k in range(5)]] = random.multinomial(length, [0.1, 0.3, 0.1, 0.2, 0.3])
         table["crash_time"] = np.where(crashed, length - random.uniform(0, 1, n), np.nan)
         table["crash_closing_speed"] = np.where(crashed, np.abs(random.normal(8, 3, n)), np.nan)
+        contact = dict.fromkeys(("x", "y", "relative_x", "relative_y", "relative_heading"), 0.0)
+        for name, value in {**contact, "other": "a car", "type": "rear-end", "detected_by": "sumo"}.items():
+            table[f"crash_{name}"] = pd.Series(value, table.index).where(crashed)
         tables.append(table)
     return pd.concat(tables).astype({name: COLUMNS[name] for name in table})
 

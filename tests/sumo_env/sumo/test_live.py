@@ -175,7 +175,7 @@ def test_another_version_of_sumo_is_an_error(
 def test_other_windows_and_simulators_have_none() -> None:
     with pytest.raises(ConfigError, match="live must be None or 'sumo-gui'"):
         DrivingEnv("u-turn", live="netedit")
-    with pytest.raises(TypeError, match="live"):
+    with pytest.raises(ConfigError, match="live: there is no SUMO on the replica"):
         gym.make("replica/u-turn-v0", live="sumo-gui")
 
 

@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
-import numpy as np
 from gymnasium import logger
 
 from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError
 from sumo_env.networks import files
-from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import Road
 from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST, Place
 from sumo_env.streams import stream
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.tasks.base import EgoState, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.tasks.drawn import elements
 from sumo_env.tasks.terms import TERMS, measures_energy, terms
-from sumo_env.traffic.drivers import LACKING, vehicle_type
+from sumo_env.traffic.drivers import LACKING
 from sumo_env.traffic.foreign import check_files
 from sumo_env.traffic.risk import RiskRates
-from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic, VehicleSpec
+from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
 from sumo_env.traffic.sumo_files import UNSORTED, Contents, configuration, is_output, paths, seconds
 
 Route = Sequence[str]
-MARGIN = VEHICLE_LENGTH  # [m] that a vehicle keeps from both ends of an edge when it is placed
-SPACING = 15.0  # [m] between centres when vehicles are placed
-EGO_SPACING = 25.0  # [m] likewise, from the place where the ego departs
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
 STEP = "0.1"  # [s]
 BESIDE = 50.0  # [m] to the sides that the observation shows: a lane is a sixteenth of it
@@ -229,7 +223,7 @@ class NetworkTask(Task):
         if self._drawn:
             for key, most in (("vehicles_count", MOST_VEHICLES), ("spawn_probability", 1.0)):
                 config = {**config, key: min(scale * config[key], most)}
-            drawn = self._draw(config, spec, start, rng, seed)
+            drawn = elements(self, self._driven, self._drawn, config, spec, start, rng, seed)
         elif scale != 1.0:
             options["scale"] = f"{scale * float(options.get('scale', 1.0)):.6g}"
         return Scenario(
@@ -279,77 +273,6 @@ class NetworkTask(Task):
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
         assert scenario.traffic is not None
         return replace(scenario, traffic=replace(scenario.traffic, imagined=seed))
-
-    # -- traffic that is drawn -----------------------------------------------------------------------------
-
-    def _draw(
-        self, config: Config, ego: VehicleSpec, begin: float, rng: np.random.Generator, seed: int
-    ) -> str:
-        """Vehicles at random places of the routes at the start, and others that depart later, as SUMO's elements."""
-        drivers, road = Drivers(self, {**config, "risk": 0.0}, seed), self._driven.road
-        root = ElementTree.Element("additional")
-        types: set[str] = set()
-
-        def kind(driver: Any, name: str) -> str:
-            if name not in types:
-                types.add(name)
-                ElementTree.SubElement(root, "vType", {"id": name, **vehicle_type(driver, self.calibration)})
-            return name
-
-        kind(ego_driver(self), "ego")
-        for name, edges in self._drawn:
-            ElementTree.SubElement(root, "route", {"id": name, "edges": " ".join(edges)})
-        vehicles: list[dict[str, str]] = []
-
-        def add(id: str, route: str, depart: float, speed: str, **where: str) -> None:
-            driver = drivers.next()
-            when = {"depart": f"{depart:.3f}", "departSpeed": speed}
-            vehicles.append({"id": id, "type": kind(driver, driver.type), "route": route, **when, **where})
-
-        for number, place in enumerate(self._places(config, ego, road, rng)):
-            route, edge, lane, front, speed = place
-            where = {"departEdge": str(edge), "departLane": str(lane), "departPos": f"{front:.2f}"}
-            add(f"v{number}", route, begin, f"{speed:.2f}", insertionChecks="none", **where)
-        spawned, frequency = stream(seed, "spawns"), config["policy_frequency"]
-        for step in range(1, math.ceil((config["duration"] + config["warm_up"]) * frequency) + 1):
-            if spawned.random() < config["spawn_probability"] / frequency:
-                route = self._drawn[int(spawned.integers(len(self._drawn)))][0]
-                add(f"s{step}", route, begin + step / frequency, "max", departLane="free")
-        for attributes in vehicles:
-            ElementTree.SubElement(root, "vehicle", attributes)
-        return ElementTree.tostring(root, "unicode")
-
-    def _places(
-        self, config: Config, ego: VehicleSpec, road: Road, rng: np.random.Generator
-    ) -> list[tuple[str, int, int, float, float]]:
-        """Route, number of its edge, SUMO's lane, place of the front [m] and speed [m/s] of each vehicle."""
-        roomy = {
-            name: [k for k, edge in enumerate(way) if road.lane(files.lane(edge)).length >= 2 * MARGIN]
-            for name, way in self._drawn
-        }
-        routes = [(name, way) for name, way in self._drawn if roomy[name]]
-        centres: list[tuple[float, float]] = []
-        found = []
-        for _ in range(int(config["vehicles_count"]) if routes else 0):
-            for _ in range(100):
-                name, way = routes[int(rng.integers(len(routes)))]
-                place = roomy[name][int(rng.integers(len(roomy[name])))]
-                lanes = files.lanes_for(self._driven, way[place])
-                index = lanes[int(rng.integers(len(lanes)))]
-                lane = road.lane(index)
-                s = float(rng.uniform(MARGIN, max(lane.length - MARGIN, MARGIN + 0.1)))
-                x, y = lane.position(s, 0.0)
-                near = any(math.hypot(x - a, y - b) < SPACING for a, b in centres)
-                if not near and math.hypot(x - ego.x, y - ego.y) >= EGO_SPACING:
-                    break
-            else:  # the roads are full
-                break
-            centres.append((x, y))
-            sumo_lane = self._driven.lanes[index]
-            front = min(s + VEHICLE_LENGTH / 2, lane.length - 0.1) * sumo_lane.length / lane.length
-            speed = float(rng.uniform(0.5, 0.8)) * lane.speed_limit
-            found.append((name, place, self._driven.sumo_index(index), front, speed))
-        return found
 
     # -- reward and end ------------------------------------------------------------------------------------
 

@@ -19,12 +19,13 @@ from sumo_env.replica import tables
 from sumo_env.replica.compiled import AS_PYTHON, borrowing, compiled
 from sumo_env.replica.geometry import from_lane, heading_at, local_coordinates, position
 from sumo_env.replica.tables import NONE
-from sumo_env.tasks import roundabout, two_way, u_turn
+from sumo_env.tasks import highway, roundabout, two_way, u_turn
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.drivers import POOL, DriverPool
 from sumo_env.traffic.risk import RiskEvent, pushes
 
-KNOWN = ("highway", "two-way", "roundabout", "u-turn")  # tasks whose traffic `draw` draws
+# Tasks whose traffic `draw` draws: their laws stand here a second time. A task derived from one may have another law.
+KNOWN = (highway.Highway, two_way.TwoWay, roundabout.Roundabout, u_turn.UTurn)
 HIGHWAY, TWO_WAY, ROUNDABOUT, U_TURN = range(len(KNOWN))
 PLACES, DRIVEN, EVENTS = (zlib.crc32(name) for name in (b"scenario", b"drivers", b"risk events"))
 # of numpy's SeedSequence and PCG64
@@ -57,7 +58,7 @@ class Draws(NamedTuple):
 
 def draws_of(task: Task, config: Config, lanes: tables.Lanes, speed_index: int) -> Draws | None:
     """How the episodes of a task are drawn under a resolved configuration; None where Python draws them."""
-    if task.name not in KNOWN or not has_known_memory():
+    if type(task) not in KNOWN or not has_known_memory():
         return None
     road, number, rates, dose = task.road(config), lanes.numbers, task.risk_rates, float(config["risk"])
     ego = task.ego(config, road, np.random.default_rng())
@@ -82,7 +83,7 @@ def draws_of(task: Task, config: Config, lanes: tables.Lanes, speed_index: int) 
         spots += u_turn.SLOTS
     kinds = [RiskEvent(0.0, "v", kind, **more) for kind, more in pushes(rates).items()]
     return Draws(
-        task=KNOWN.index(task.name),
+        task=KNOWN.index(type(task)),
         lanes=lanes.table,
         ego=tables.cars_of(road, [ego]),
         drivers=np.stack(cars),

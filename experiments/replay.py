@@ -34,11 +34,10 @@ import gymnasium as gym
 import tyro
 
 from experiments import backends
-from experiments.reporting.showcase import ending
 from experiments.study.compute.cell import MakeEnv
 from experiments.study.design.grid import tested_on
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
-from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
+from experiments.study.replaying.rerun import Case, changed_versions, differences, ending, play_again
 from experiments.study.results.store import EPISODES, Store, find_cell
 from experiments.support.errors import UserError, run_command, unknown
 from experiments.support.films import Film, Pictures, check_film, save_gif, side_by_side

@@ -5,10 +5,10 @@
     python experiments/report.py results/sumo-quick --placebo
 
 Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
-sweep is running (it then says what is missing). report.html is the first page and needs nothing else, appendix.html has
-everything that is not on it, report.md the first page's words and tables. analysis.json has all numbers; summary.csv
-(how every policy drives) and effects.csv are its largest tables. For the films some stored agents drive a few of their
-test episodes again; the trajectories are kept in showcase.json.
+sweep is running (it then says what is missing). report.html is the first page, appendix.html has everything that is not on it, report.md
+the first page's words and tables. analysis.json has all numbers; summary.csv
+(how every policy drives) and effects.csv are its largest tables. It shows the
+films that `watch.py` has written into the folder.
 
 Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 """
@@ -33,9 +33,7 @@ from agents.plugins import load_object
 from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.effects import ALL_TASKS, WORKING_COLUMNS
 from experiments.analysis.plan import OUTCOMES, Outcome
-from experiments.backends import make_env
 from experiments.reporting.page import page, render
-from experiments.reporting.showcase import showcase
 from experiments.reporting.tables import chosen
 from experiments.study.compute.evaluate import COLUMNS
 from experiments.study.results.store import Store, load
@@ -76,8 +74,7 @@ def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
     analysis = analyse(results, own)
     beside = {str(other): analyse(load(other)) for other in others}
     with writing(directory):
-        films = showcase(results, set(analysis.notes["left_out"]), make_env)
-        variables = page(results, analysis, films, beside)
+        variables = page(results, analysis, beside)
         write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())
         for name, table in (
             (SUMMARY, analysis.policies),

@@ -5,7 +5,8 @@
 
 Where an agent of the other training is stored beside it, both are filmed in the same risky scenario: control, trained
 in regular traffic, and treatment, trained in risky traffic. An agent alone is filmed at risk 0 and at risk 1. All
-drives begin at the same places and speeds. The caption says how often agents crash and how the scenario was chosen.
+drives begin at the same places and speeds. The caption says how often agents crash and how the scenario was chosen. The
+next report of DIR shows the films that lie there.
 """
 
 from __future__ import annotations
@@ -25,12 +26,11 @@ import pandas as pd
 import tyro
 
 from experiments.backends import make_env
-from experiments.reporting.showcase import ending
 from experiments.reporting.tables import listing
 from experiments.study.design.arms import ARMS
 from experiments.study.design.grid import tested_on
 from experiments.study.design.traffic import ALL, TRAFFICS
-from experiments.study.replaying.rerun import Case, play_again
+from experiments.study.replaying.rerun import Case, ending, play_again
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 from experiments.support.films import Film, check_film, save_film, side_by_side

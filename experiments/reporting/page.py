@@ -25,29 +25,22 @@ from experiments.study.design.arms import ARMS, DOSE_ARMS
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import of_results
 from experiments.study.results.store import Results, Store
-from experiments.support.files import canonical_json
 from sumo_env.hints import DOCUMENTATION
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
 
-def page(
-    results: Results, analysis: Analysis, films: Mapping[str, Any], others: Mapping[str, Analysis]
-) -> dict[str, Any]:
+def page(results: Results, analysis: Analysis, others: Mapping[str, Analysis]) -> dict[str, Any]:
     """The templates' variables.
 
     Args:
-        films: from `showcase.showcase`. others: analyses of further folders to compare with this one, by name.
+        others: analyses of further folders to compare with this one, by name.
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
-    places = [place for place in films["places"] if place["films"]]
     return {
         "smoke": "smoke" in analysis.provenance["presets"],
         "backends": [backend(name, results, analysis) for name in names],
-        # A "<" could end the script element in which the data stand.
-        "films": Markup(canonical_json(places).replace("<", "\\u003c")) if places else None,
-        "rule": films["rule"],
-        "missing_films": films["notes"],
+        "films": sorted(path.name for path in results.directory.glob("*.gif")),
         "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,
         "checks": checks(results.directory, names),

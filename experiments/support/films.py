@@ -27,11 +27,10 @@ class Film:
     """
 
     recording, frames_per_sec = True, 0  # as environments expect of a `gymnasium.wrappers.RecordVideo`
-    frequency: float = FREQUENCY
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         self.env: Any = env.unwrapped
-        self.pictures: list[Any] = []
+        self.pictures: Pictures = []
         self._seen = 0
         if hasattr(self.env, "set_record_video_wrapper"):
             self.env.set_record_video_wrapper(self)
@@ -39,16 +38,12 @@ class Film:
     def frame(self) -> None:
         """Add the present picture, after a reset or a step."""
         self._seen = 0
-        self.pictures.append(self.picture())
+        self.pictures.append(Image.fromarray(self.env.render()))
 
     def _capture_frame(self) -> None:
         self._seen += 1
-        if self._seen % max(self.frames_per_sec // self.frequency, 1) == 0:
-            self.pictures.append(self.picture())
-
-    def picture(self) -> Any:
-        """The present picture."""
-        return Image.fromarray(self.env.render())
+        if self._seen % max(self.frames_per_sec // FREQUENCY, 1) == 0:
+            self.pictures.append(Image.fromarray(self.env.render()))
 
 
 def side_by_side(

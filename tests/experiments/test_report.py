@@ -216,14 +216,17 @@ class TestIncomplete:
 
 
 @pytest.mark.usefixtures("words_alone")
-def test_the_validation_is_told_in_sizes_and_is_no_question_for_the_reference(tmp_path):
+def test_films_of_the_folder_are_shown_and_the_validation_is_told_in_sizes(tmp_path):
     missed = {"traffic": "risky", "level": "3", "name": "crash rate", "ego": "idm",
               "sumo": 0.76, "reference": 0.58, "difference": 0.18, "margin": 0.15, "note": ""}  # fmt: skip
     u_turn = {"passed": False, "counts": {"equivalent": 5, "within": 3, "missed": 1}, "missed": [missed]}
     verdict = {"schema": SCHEMA, "backend": "sumo", "source": "a test", "versions": {}, "fingerprints": {}}
     (tmp_path / "verdict.json").write_text(json.dumps({**verdict, "tasks": {"u-turn": u_turn}}))
     assert checks(tmp_path, ["replica"]) == {"relevant": False, "total": 0, "missed": []}
-    text = write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4).text
+    (tmp_path / "film #1.gif").touch()
+    page = write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4)
+    text = page.text
+    assert page.values("src") == ["film%20%231.gif"]
     assert "8 of 9 checks are within margins" in text
     assert "crash rate of idm 0.76 instead of 0.58 (margin 0.15)" in text
 

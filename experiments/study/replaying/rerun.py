@@ -85,6 +85,14 @@ def play_again(
     return play(*driver(key, case.code, env, weights), drive, on_step)
 
 
+def ending(row: Mapping[str, Any]) -> str:
+    """How an episode ended, in words."""
+    if row["crashed"]:
+        speed = row["crash_closing_speed"]
+        return f"{row['crash_type']} crash after {row['crash_time']:.1f} s, closing at {speed:.0f} m/s"
+    return "reaches its goal" if row["arrived"] else "no crash until the time is up"
+
+
 def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
     """Columns in which a replayed episode is not the stored one, in words; empty if it is reproduced."""
     found = []

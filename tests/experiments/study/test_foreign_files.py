@@ -23,7 +23,6 @@ from agents.episodes import Episodes
 from agents.greedy import Greedy
 from agents.models import DuelingMLP, EgoAttention
 from agents.plugins import sha256
-from experiments.reporting import showcase
 from experiments.study.compute.policies import driver
 from experiments.study.compute.run import locked, log, watched
 from experiments.study.design.grid import learner_of
@@ -197,9 +196,7 @@ def test_a_link_in_the_place_of_a_lock_is_not_followed(lock: str, tmp_path: Path
     assert precious.read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    "file", [f"work/cell/{LOG}", f"work/cell/{PROGRESS}", "showcase.json", "verdict.json"]
-)
+@pytest.mark.parametrize("file", [f"work/cell/{LOG}", f"work/cell/{PROGRESS}", "verdict.json"])
 @pytest.mark.parametrize("kind", ["pipe", "device", "list", "nested", "number"])
 def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path) -> None:
     place = results / file
@@ -212,7 +209,6 @@ def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path)
         place.write_text({"list": "[1, 2]", "nested": "[" * 100_000, "number": '{"schema": 1e999}'}[kind])
     Store(results).failures()
     assert fraction_done(results / "work" / "cell") == 0.0
-    assert showcase._stored(results / showcase.FILE) == []
     assert of_results(results) is None
 
 

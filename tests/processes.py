@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # Other people's packages that are slow to import; not those that register environments when they are imported.
 SLOW = [
     "gymnasium", "torch", "pandas", "pyarrow.parquet", "scipy.stats", "matplotlib.figure", "stable_baselines3", "numba",
-    "tyro", "rich.progress", "jinja2", "PIL.Image",
+    "tyro", "jinja2", "PIL.Image",
 ]  # fmt: skip
 
 

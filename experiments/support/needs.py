@@ -9,7 +9,6 @@ NEEDED = (
     "pandas",
     "pebble",
     "pyarrow",
-    "rich",
     "scipy",
     "torch",
     "tyro",

@@ -294,7 +294,7 @@ def loaded(folder: Path) -> store.Results:
 def words_of(folder: Path) -> str:
     found = loaded(folder)
     analysis = analyse(found)
-    words = render(page(found, analysis, {"places": [], "rule": "", "notes": []}, {}), "report.html.j2")
+    words = render(page(found, analysis, {}), "report.html.j2")
     if "cannot be compared in full" in words or "are not counted" in words:
         raise UserError(f"{folder}: it stands in the report")
     return digest(words)

@@ -1,21 +1,12 @@
-"""How long cells will take, and what a person sees of a sweep: a bar, or lines where there is no terminal."""
+"""How long cells will take, and what a person sees of a sweep: a line of how much is done."""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections import Counter
 from collections.abc import Collection, Mapping
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from experiments.study.compute.run import RETRIES, Observer, Task
 from experiments.study.design.grid import Cell
@@ -26,7 +17,6 @@ STEP = {"sumo": 0.002, "replica": 0.001, "highway-env": 0.15}
 UPDATE = 0.0045
 LENGTH = 10  # policy steps of an episode
 EVERY = 15.0  # [s] between two lines where there is no terminal
-MEMORY = 600.0  # [s] over which the speed is averaged
 
 
 def costs(cell: Cell) -> tuple[float, float]:
@@ -49,7 +39,7 @@ def duration(seconds: float) -> str:
 
 
 class ProgressDisplay(Observer):
-    """Follows tasks.
+    """Follows tasks: on a terminal in one line that changes, elsewhere in a new one now and then.
 
     Args:
         work: folder of their working folders. costs: expected time of each [s], or another measure of its size.
@@ -61,42 +51,38 @@ class ProgressDisplay(Observer):
     ) -> None:
         self._work, self._costs, self._kind = work, costs, kind
         self._state = {name: "finished" if name in finished else "waiting" for name in costs}
-        self._console = Console(highlight=False)
-        columns = BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-        self._bars = Progress(
-            *columns,
-            TextColumn("left"),
-            console=self._console,
-            disable=not self._console.is_terminal,
-            speed_estimate_period=MEMORY,
-        )
-        self._bar = self._bars.add_task("", total=sum(self._costs.values()), completed=int(self._done()))
-        self._bars.start()
-        self._shown = time.monotonic()
+        self._begun = self._shown = time.monotonic()
+        self._before = self._done()
+        self._over = "\r\x1b[K" if sys.stdout.isatty() else ""  # writes over the line that is there
 
     def tell(self, task: Task, state: str, words: str = "") -> None:
         """A task is in another state now."""
         self._state[task.name] = state
         if words:
             end = f"; given up after {RETRIES} retries" if state == "failed" else ""
-            self._console.print(f"{task.name}: {words}{end}", markup=False, soft_wrap=True)
+            print(f"{self._over}{task.name}: {words}{end}", flush=True)
 
     def tick(self) -> None:
         """Show how much is done; without a terminal, now and then."""
-        self._bars.update(self._bar, completed=self._done())
-        if not self._console.is_terminal and time.monotonic() - self._shown >= EVERY:
+        if self._over:
+            print(self._over + self._line(), end="", flush=True)
+        elif time.monotonic() - self._shown >= EVERY:
             self._shown = time.monotonic()
-            counts, bar = Counter(self._state.values()), self._bars.tasks[0]
-            parts = [f"{counts.pop('finished', 0)}/{len(self._state)} {self._kind}", f"{bar.percentage:.0f}%"]
-            if left := bar.time_remaining:
-                parts.append(f"about {duration(left)} left")
-            print(", ".join([*parts, *(f"{number} {state}" for state, number in counts.items())]), flush=True)
+            print(self._line(), flush=True)
 
     def close(self) -> None:
-        """Leave the screen in order."""
-        self._shown = -EVERY
-        self.tick()
-        self._bars.stop()
+        """Show what has come of it."""
+        print(self._over + self._line(), flush=True)
+
+    def _line(self) -> str:
+        done, total, counts = self._done(), sum(self._costs.values()), Counter(self._state.values())
+        parts = [f"{counts.pop('finished', 0)}/{len(self._state)} {self._kind}"]
+        if total:
+            parts.append(f"{100 * done / total:.0f}%")
+        if done > self._before:
+            speed = (done - self._before) / (time.monotonic() - self._begun)
+            parts.append(f"about {duration((total - done) / speed)} left")
+        return ", ".join([*parts, *(f"{number} {state}" for state, number in counts.items())])
 
     def _done(self) -> float:
         """Expected time of what is done [s]."""

@@ -34,12 +34,7 @@ SIZES = range(1, 10_000)  # of observations, in number of actions and steps
 THREE = [int | float] * 3  # a value, and the ends of its interval
 CARD = {
     **{"cell": str, "command": str, "commit": str | None, "task": str, "config": dict, "network": str},
-    **{
-        "observations": [SIZES],
-        "actions": SIZES,
-        "time_observed": range(10_000),
-        "precision": ("float16", "float32"),
-    },
+    **{"observations": [SIZES], "actions": SIZES, "time_observed": range(10_000)},
     **{
         traffic: {"episodes": SIZES, "crash_rate": THREE, "return": THREE, "speed": THREE}
         for traffic in ("regular", "risky")
@@ -53,7 +48,7 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
     A card says how the agent drives in its test, per traffic ("regular", "risky"): `crash_rate`, `return` and `speed`
     [m/s], each with the ends of its 95 % interval over `episodes` scenarios; the `config` of its environment; its
     `cell`, with the `command` and `commit` that trained it; `time_observed`, the number of steps of which the agent
-    observes the share that is over (0: it does not observe the time); and the `precision` of the stored weights.
+    observes the share that is over (0: it does not observe the time).
 
     Raises FileNotFoundError when the file is not there, CheckpointError when it is damaged.
     """
@@ -115,11 +110,11 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
 
 
 def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE) -> None:
-    """Write agents with their cards, by "SETTING/ARM". A card's `precision` is that of its weights in the file."""
+    """Write agents with their cards, by "SETTING/ARM"."""
     arrays = {CARDS: np.array(json.dumps({name: about for name, (about, _) in agents.items()}))}
-    for name, (about, policy) in agents.items():
+    for name, (_, policy) in agents.items():
         for part, value in policy.network.state_dict().items():
-            arrays[f"{name}/{part}"] = value.numpy().astype(about["precision"])
+            arrays[f"{name}/{part}"] = value.numpy()
     save_arrays(file, arrays)
 
 

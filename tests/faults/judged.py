@@ -217,7 +217,6 @@ CARDS: dict[str, tuple[Any, ...]] = {
     "network": ("os.system", "evil.py:Net", "attention", ""),
     "task": ("racing", ""),
     "config": ([], {"vehicles_count": HUGE}, {"nonsense": 1}),
-    "precision": ("float64", None),
     "cell": (3, "\x1b]0;evil\x07"),
     "regular": ({}, {"episodes": 0, "crash_rate": [], "return": [], "speed": []}),
     "risky.crash_rate": ([7], [1.5, 1, 2], ["0", "0", "1"], [0.9, 0.1, 0.2], ["~", 1, 1]),

@@ -2,40 +2,27 @@
 
     python -m experiments.study.replaying.publish results/sumo-second
 
-Agents of other settings that are in the file stay. Weights are stored at half precision where the first test
-scenarios of both traffics end with the same return. Agents that observe the dose are left out.
+Agents of other settings that are in the file stay. Agents that observe the dose are left out.
 """
 
 from __future__ import annotations
 
 from contextlib import closing
-from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import tyro
 
 from agents import pretrained
 from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import drives, driving, evaluate
+from experiments.study.compute.evaluate import driving
 from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.grid import LEARNER, tested_on
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 from sumo_env.tasks import TASKS
-
-COMPARED = 25  # test scenarios of each traffic
-
-
-def halved(policy: Greedy) -> Greedy:
-    """The policy with weights of half precision."""
-    policy = deepcopy(policy)
-    weights = policy.network.state_dict()
-    policy.network.load_state_dict({name: value.half().float() for name, value in weights.items()})
-    return policy
 
 
 def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
@@ -58,12 +45,6 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         steps = seen.steps if isinstance(seen, TimeObserved) else 0
         if steps:
             policy = Timed(policy.network, steps)
-        first = int(key["eval"].get("first_scenario", 0))
-        scenarios = range(first, first + COMPARED)
-        returns = [
-            evaluate(env, greedy, drives(key["task"], key["level"], scenarios))["return"]
-            for greedy in (policy, halved(policy))
-        ]
         actions: Any = env.action_space
     about: dict[str, Any] = {
         "cell": name,
@@ -75,7 +56,6 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         "observations": list(space.shape),
         "actions": int(actions.n),
         "time_observed": steps,
-        "precision": "float16" if np.array_equal(*returns) else "float32",
     }
     for traffic, rows in store.tables(name)[EPISODES].groupby("traffic"):
         values = {part: [round(value, 4) for value in found] for part, found in driving(rows).items()}
@@ -96,6 +76,7 @@ def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretraine
     if out.exists():
         for label, about in pretrained.cards(out).items():
             setting, arm = label.split("/")
+            about.pop("precision", None)  # of earlier versions, which rounded some weights
             agents[label] = about, pretrained.load(setting, arm, out)
     store = Store(directory)
     commands = {name: sweep["command"] for sweep in store.sweeps() for name in sweep["cells"]}
@@ -107,7 +88,7 @@ def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretraine
     for label, name in sorted(first.items()):
         if (agent := published(directory, name, commands[name])) is not None:
             agents[label] = agent
-            print(label, agent[0]["precision"], agent[0]["risky"]["crash_rate"])
+            print(label, agent[0]["risky"]["crash_rate"])
     pretrained.save(dict(sorted(agents.items())), out)
     print(f"written: {out} ({len(agents)} agents, {out.stat().st_size / 1e6:.1f} MB)")
     return 0

@@ -96,11 +96,8 @@ class EgoAttention(nn.Module):
         answer = self.output((weights @ vehicles).flatten(1))
         return self.decision((answer + ego) / 2)
 
-    def attention(self, x: Tensor) -> Tensor:
-        """Weights (batch, heads, vehicles): how much the ego looks at each vehicle, itself included."""
-        return self._attend(x)[2]
-
     def _attend(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The ego's code, those of all vehicles, and the weights of each of them (batch, heads, vehicles)."""
         ego = self.ego(x[:, 0])
         vehicles = torch.cat([ego[:, None], self.others(x[:, 1:])], 1)
         query = self.query(ego).unflatten(1, (self.heads, -1))

@@ -2,13 +2,11 @@
 
     python experiments/report.py results/sumo-quick
     python experiments/report.py results/sumo-quick results/replica-quick    # others side by side with it
-    python experiments/report.py results/sumo-quick --placebo
 
 Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
-sweep is running (it then says what is missing). report.html is the first page, appendix.html has everything that is not on it, report.md
-the first page's words and tables. analysis.json has all numbers; summary.csv
-(how every policy drives) and effects.csv are its largest tables. It shows the
-films that `watch.py` has written into the folder.
+sweep is running (it then says what is missing). report.html is the first page, appendix.html has everything that is
+not on it, report.md the first page's words and tables. analysis.json has all numbers; summary.csv (how every policy
+drives) and effects.csv are its largest tables. The report shows the films that `watch.py` has written into the folder.
 
 Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 """
@@ -31,10 +29,9 @@ import tyro
 
 from agents.plugins import load_object
 from experiments.analysis.analysis import analyse, as_json
-from experiments.analysis.effects import ALL_TASKS, WORKING_COLUMNS
+from experiments.analysis.effects import WORKING_COLUMNS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.reporting.page import page, render
-from experiments.reporting.tables import chosen
 from experiments.study.compute.evaluate import COLUMNS
 from experiments.study.results.store import Store, load
 from experiments.support.errors import UserError, in_words, run_command, writing
@@ -56,8 +53,6 @@ class Options:
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     pack: bool = False
     """Instead pack the finished cells into a few tables; nothing is deleted."""
-    placebo: bool = False
-    """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
 
 def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | None = None) -> Path:
@@ -115,21 +110,6 @@ def print_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
     print(f"report: {path}", flush=True)
 
 
-def report_placebo(directory: Path) -> None:
-    """Print what the controls of the instrument find in a directory."""
-    analysis = analyse(load(directory))
-    if analysis.placebo.empty:
-        print("no placebo: a setting needs four control agents, to be dealt into two arms")
-    else:
-        print(analysis.placebo.to_string(index=False))
-    print(f"negative control (the careful driver as both arms), largest effect: {analysis.negative_control}")
-    wanted = {"arm": "penalty", "against": "control", "scope": ALL_TASKS, "outcome": "crashed"}
-    rows = chosen(analysis.means, term="regular", **wanted)
-    if len(rows):
-        print("positive control (twice the penalty for a crash), crash rate in regular traffic:")
-        print(rows[["backend", "estimate", "low", "high", "p"]].to_string(index=False))
-
-
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
@@ -138,8 +118,6 @@ def main() -> int:
         print(f"{len(names)} cells packed into the tables of {options.directory}, and read back equal")
         if names:
             print(f"{options.directory / 'cells'} may be removed")
-    elif options.placebo:
-        report_placebo(options.directory)
     else:
         own = dict(own_outcome(name) for name in options.outcome)
         print_report(options.directory, *options.others, own=own)

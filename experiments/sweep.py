@@ -103,12 +103,10 @@ def sweep(
         copy_verdict(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
         if len(failures) < len(mine):
-            from experiments.report import print_report, report_placebo
+            from experiments.report import print_report
 
             print("writing the report", flush=True)
             print_report(options.directory)
-            if options.placebo:
-                report_placebo(options.directory)
     return say_failures(failures, options.directory, again)
 
 

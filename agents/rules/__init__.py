@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -11,12 +13,17 @@ from agents.policies import Policy
 from agents.rules.careful import Careful
 from agents.rules.constant import Constant, Random
 from agents.rules.idm import IDM
-from agents.rules.planner import clairvoyant, imagining
+from agents.rules.planner import Planner
 
 POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
 # The careful driver at other cautions: with the constant policies, how many crashes a speed costs without learning.
 CAUTIONS = {"careful-0.1": 0.1, "careful-0.5": 0.5, "careful": 1.0, "careful-2": 2.0, "careful-4": 4.0}
-PLANNERS = {"planner": imagining, "clairvoyant": clairvoyant}
+MAKERS: dict[str, Callable[[gym.Env[Any, Any]], Policy]] = {
+    **{name: partial(Careful, caution=caution) for name, caution in CAUTIONS.items()},
+    "idm": IDM,
+    "planner": partial(Planner, foresees=False),
+    "clairvoyant": partial(Planner, foresees=True),
+}
 
 
 def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
@@ -33,14 +40,10 @@ def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     actions: dict[int, str] = env.unwrapped.actions  # type: ignore[attr-defined]
     if name == "random":
         return Random(len(actions))
-    if name == "idm":
-        return IDM(env)
-    if name in PLANNERS:
-        return PLANNERS[name](env)
-    if name in CAUTIONS:
-        return Careful(env, CAUTIONS[name])
+    if name in MAKERS:
+        return MAKERS[name](env)
     if name not in POLICIES:
-        raise unknown("policy", name, dict.fromkeys((*POLICIES, *CAUTIONS, *PLANNERS)))
+        raise unknown("policy", name, dict.fromkeys((*POLICIES, *MAKERS)))
     for number, action in actions.items():
         if action == name.upper():
             return Constant(number)

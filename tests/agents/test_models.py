@@ -61,7 +61,7 @@ def test_gradients_are_those_of_finite_differences(name: str) -> None:
 @pytest.mark.parametrize("others", [0, 2])
 def test_absent_vehicles_have_no_weight_and_no_influence(attention: EgoAttention, others: int) -> None:
     x, there = table(others), others + 1
-    weights = attention.attention(x)
+    weights = attention._attend(x)[2]
     assert weights.shape == (4, 2, 6)
     torch.testing.assert_close(weights.sum(2), torch.ones(4, 2))
     assert (weights[:, :, there:] == 0).all() and (weights[:, :, :there] > 0).all()

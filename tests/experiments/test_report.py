@@ -86,7 +86,8 @@ class TestReport:
         table = pd.read_csv(directory / "summary.csv")
         assert len(table) == 3 * 8 * 2
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(table)
-        assert (directory / "appendix.html").exists()
+        appendix = (directory / "appendix.html").read_text()
+        assert "settings are significant" in appendix and "the largest effect is 0" in appendix
 
     def test_a_stored_analysis_of_an_earlier_or_later_version_is_read(self, directory, tmp_path):
         value = json.loads((directory / "analysis.json").read_text())
@@ -232,13 +233,6 @@ def test_films_of_the_folder_are_shown_and_the_validation_is_told_in_sizes(tmp_p
 
 
 class TestCommand:
-    def test_placebo_is_printed_and_nothing_written(self, directory, capsys):
-        written = (directory / "report.html").stat().st_mtime_ns
-        report.report_placebo(directory)
-        printed = capsys.readouterr().out
-        assert "rejected" in printed and "largest effect: 0.0" in printed
-        assert (directory / "report.html").stat().st_mtime_ns == written
-
     def test_works_from_anywhere(self, directory, tmp_path):
         printed = python_again(report.__file__, directory, cwd=tmp_path)
         assert str(directory / "report.html") in printed

@@ -89,14 +89,6 @@ class TestPlan:
         )
         assert set(counts["expected"]) == {5, 18}
 
-    @pytest.mark.parametrize("plan", [DEFAULT, TWO_BATCHES])
-    def test_what_a_family_tests_is_not_called_exploratory(self, plan: Plan) -> None:
-        named = as_data(plan, {})["exploratory"]
-        assert f"{plan.primary_outcome} {plan.primary_term}" not in named
-        tested = [(o, t) for o in OUTCOMES for t in TERMS if plan.family("treatment", o, t)]
-        assert tested
-        assert [f"{o} {t}" for o, t in tested if f"{o} {t}" in named] == []
-
 
 @pytest.mark.parametrize(("effect", "side"), [(3.0, "better"), (-3.0, "worse"), (0.0, "open")])
 def test_the_side_of_a_mean_is_decided_in_its_frame(effect: float, side: str) -> None:

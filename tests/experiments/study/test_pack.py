@@ -25,16 +25,6 @@ def pack(results: Path) -> list[str]:
     return names
 
 
-@pytest.fixture(scope="module")
-def grown(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Packed cells, and those of another seed that are not packed yet."""
-    directory = tmp_path_factory.mktemp("grown") / "results"
-    shutil.copytree(finished, directory)
-    pack(directory)
-    sweep_of(directory, seeds=2)
-    return directory
-
-
 def content(directory: Path) -> dict[str, Any]:
     """All results as one, and the tables that no analysis reads."""
     home, results = store.Store(directory), load(directory)
@@ -102,29 +92,6 @@ def test_an_unknown_or_damaged_manifest_is_named(results: Path, manifest: str, m
     (results / MANIFEST).write_text(manifest)
     with pytest.raises(UserError, match=message):
         load(results)
-
-
-@pytest.mark.parametrize("writes", [0, 1, 2, 3])
-def test_what_was_packed_before_survives_a_kill_while_packing(grown, tmp_path, writes, monkeypatch) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(grown, results)
-    before = content(results)
-    write_file = packed.write_file
-    done: list[Any] = []
-
-    def killed(path: Path, data: bytes) -> None:
-        if len(done) == writes:
-            raise KeyboardInterrupt
-        done.append(path)
-        write_file(path, data)
-
-    monkeypatch.setattr(packed, "write_file", killed)
-    with pytest.raises(KeyboardInterrupt):
-        store.Store(results).pack()
-    assert_same(content(results), before)
-    monkeypatch.undo()
-    assert len(pack(results)) == 2
-    assert_same(content(results), before)
 
 
 def test_what_does_not_read_back_equal_is_not_believed(results: Path, monkeypatch) -> None:

@@ -133,11 +133,8 @@ def without(keep: Callable[[Mapping[str, Any]], bool]) -> Change:
     return act
 
 
-def put_in(part: str, entry: str, value: Any, record: dict[str, Any]) -> None:
-    (record[part] if part else record)[entry] = value
-
-
-def take_out(part: str, entry: str, record: dict[str, Any]) -> None:
+def take_out(path: str, record: dict[str, Any]) -> None:
+    part, _, entry = path.rpartition(".")
     del (record[part] if part else record)[entry]
 
 
@@ -148,35 +145,11 @@ def is_other(policy: str, key: Mapping[str, Any]) -> bool:
 def wrong_contents() -> dict[str, Change]:
     """Tables and records that somebody has written with right checksums, and right names."""
     found: dict[str, Change] = {}
-    values: dict[str, tuple[Any, ...]] = {
-        "kind": ("teacher", 3, None),
-        "backend": ("carla", ["sumo"]),
-        "task": ("racing", None),
-        "level": (99, 0, "1", 2.5),
-        "level_name": ("999", 50),
-        "arm": ("placebo", 1, None),
-        "seed": ("0", -1, None, 0.5),
-        "policy": (None, 7),
-        "profile": (None, []),
-        "env_config": ("x", None),
-        "eval": ({}, {"episodes": "many", "gate_episodes": 100}, {"episodes": 50, "gate_episodes": 100}),
-        "dynamics": (3,),
-    }
-    for entry, wrong in values.items():
-        for value in wrong:
-            found[f"key.{entry}={value!r}"] = of_record(partial(put_in, "key", entry, value))
-        found[f"no key.{entry}"] = of_record(partial(take_out, "key", entry))
-    for entry in ("schema", "key", "versions", "files", "timing", "learner"):
-        found[f"no {entry}"] = of_record(partial(take_out, "", entry))
-        found[f"{entry} is a list"] = of_record(partial(put_in, "", entry, []))
-    for name, value in {
-        "empty": [],
-        "nan": [[1, 2.0, "x"]],
-        "short": [[1]],
-        "text": "many",
-    }.items():
-        found[f"probe values {name}"] = of_record(partial(put_in, "learner", "probe_q", value))
-    found["q_bound text"] = of_record(lambda r: r["learner"].update(q_bound="large"))
+    for path, odd in judged.RECORDS.items():
+        for value in odd:
+            found[f"{path}={value!r}"[:60]] = of_record(partial(judged.deep, path=path, new=value))
+    for path in judged.NEEDED:
+        found[f"no {path}"] = of_record(partial(take_out, path))
     wrong_rows: dict[str, Any] = {
         "traffic": "storm",
         "scenario": -1,
@@ -221,10 +194,6 @@ def wrong_contents() -> dict[str, Change]:
         found[f"no {policy}"] = without(partial(is_other, policy))
     found["no baselines"] = without(lambda k: k["kind"] == "agent")
     found["baselines alone"] = without(lambda k: k["kind"] != "agent")
-    for path, odd in judged.RECORDS.items():
-        for value in odd:
-            change = partial(judged.deep, path=path, new=value)
-            found[f"{path}={str(value)[:40]!r}"] = of_record(change)
     for way, of_rows in judged.TABLES.items():
         found[f"rows: {way}"] = of_table(store.EPISODES, of_rows)
     return found

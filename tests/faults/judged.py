@@ -32,9 +32,22 @@ def deep(value: Mapping[str, Any], path: str, new: Any) -> None:
 
 # Entries of an agent's record, and odd values of each; ~ in text stands for a number that JSON writes as 1e999.
 RECORDS: dict[str, tuple[Any, ...]] = {
-    "schema": (99, 0, -1),
+    "schema": (99, 0, -1, []),
     "versions": ([], "1", {"libsumo": 5}, {"libsumo": None}),
+    "key": ([],),
+    "key.kind": ("teacher", 3, None),
+    "key.backend": ("carla", ["sumo"]),
+    "key.task": ("racing", None),
+    "key.level": (99, 0, "1", 2.5),
+    "key.level_name": ("999", 50),
+    "key.arm": ("placebo", 1, None),
+    "key.profile": (None, []),
+    "key.env_config": ("x", None),
+    "key.dynamics": (3,),
+    "key.eval": ({}, {"episodes": "many", "gate_episodes": 100}, {"episodes": 50, "gate_episodes": 100}),
     "key.policy": (
+        None,
+        7,
         "x" * 300,
         "../../x",
         "a/b",
@@ -46,7 +59,7 @@ RECORDS: dict[str, tuple[Any, ...]] = {
     "key.eval.episodes": (HUGE - 1, 10**400, 2.0, True),
     "key.eval.gate_episodes": (HUGE - 1, -1),
     "key.eval.first_scenario": (HUGE - 1, -1, "0"),
-    "key.seed": (HUGE - 1, 10**30, True),
+    "key.seed": (HUGE - 1, 10**30, True, "0", -1, None, 0.5),
     "key.env_config.vehicles_count": (HUGE, -1, "many"),
     "key.env_config.duration": (HUGE, 0, -5),
     "key.env_config.simulation_frequency": (10**7, 0),
@@ -57,19 +70,26 @@ RECORDS: dict[str, tuple[Any, ...]] = {
     "key.profile.preset": ([], {"a": 1}, 3),
     "key.profile.network": ("os.system", "../evil.py:Net", 3),
     "key.test_on": ({}, {"backend": "sumo"}),
+    "timing": ([],),
     "timing.finished": ("tomorrow", "9999-99-99", 3),
     "timing.train_seconds": (-5, "~", True, 1e300),
     "provenance.packages": ([], None, {"numpy": [1]}),
+    "learner": ([],),
     "learner.curve": (
         [],
         {"step": [1], "return": [], "crashed": []},
         {"step": ["1"], "return": [1], "crashed": [0]},
     ),
-    "learner.q_bound": ("~", -3, True),
-    "learner.probe_q": ([["~", 1, 1]], [[1, 1, 1]] * 3 + [[1, 2]]),
+    "learner.q_bound": ("~", -3, True, "large"),
+    "learner.probe_q": ([["~", 1, 1]], [[1, 1, 1]] * 3 + [[1, 2]], [], [[1, 2.0, "x"]], [[1]], "many"),
     "extra": ({"a": 1},),
-    "files": ({"episodes.parquet": "0" * 64}, {"con": "0" * 64}, {"x" * 300: "0" * 64}, {}),
+    "files": ([], {"episodes.parquet": "0" * 64}, {"con": "0" * 64}, {"x" * 300: "0" * 64}, {}),
 }
+# Entries that are taken out.
+NEEDED = ("schema", "key", "versions", "files", "timing", "learner")
+NEEDED += tuple(
+    path for path in RECORDS if path.startswith("key.") and path.count(".") == 1 and path != "key.test_on"
+)
 
 
 def _column(name: str, change: Callable[[pd.Series], Any]) -> Callable[[pd.DataFrame], Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated, Any
@@ -187,27 +187,20 @@ class Experiment:
 
     def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
-        here = {"backend": self.backend, "episodes": self.episodes, "env_config": agent.env_config}
         if set(self.arms) & set(BETWEEN) and agent.arm in DOSE_ARMS:
-            yield replace(agent, kind="test", test_on={**here, "traffics": list(BETWEEN)})
+            yield _tested(agent, BETWEEN)
         if self.unseen:
-            traffics = list(unseen_traffics(agent.task, self.backend))
-            yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
+            yield _tested(agent, unseen_traffics(agent.task, self.backend))
         if self.traffics:
             further = {name: traffic_named(name) for name in self.traffics}
             if self.backend != "sumo" and any(traffic.is_of_sumo for traffic in further.values()):
                 raise UserError(f"--traffics {' '.join(further)} has drivers that {self.backend} has not")
-            yield replace(agent, kind="test", test_on={**here, "traffics": list(further)})
+            yield _tested(agent, further)
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
-                elsewhere = {
-                    "backend": other,
-                    "traffics": list(TRAFFICS),
-                    "episodes": min(agent.episodes, TRANSFER_EPISODES.get(other, agent.episodes)),
-                    "env_config": env_config(other, agent.task, agent.level, self._changes),
-                    "dynamics": dynamics(other, agent.task),
-                }
-                yield replace(agent, kind="test", test_on=elsewhere)
+                config = env_config(other, agent.task, agent.level, self._changes)
+                where = {"backend": other, "env_config": config, "dynamics": dynamics(other, agent.task)}
+                yield _tested(agent, TRAFFICS, TRANSFER_EPISODES.get(other), **where)
 
     def _pairs(self, agents: Sequence[Cell]) -> Iterator[Cell]:
         """The tests of two agents together; those that are told nothing also elsewhere."""
@@ -220,14 +213,11 @@ class Experiment:
             made: dict[str, Any] = {"agents": [one.name, other.name], "weight": pair.weight}
             if pair.weight in ("belief", "shuffled"):
                 made |= {"rule": list(RULE), "estimator_sha256": digest(one)}
-            asked: list[tuple[Sequence[str], int]] = [(TRAFFICS, one.episodes)]
+            both = replace(one, arm=name, pair=made)
+            yield _tested(both, TRAFFICS)
             if pair.weight in ("half", "belief"):
-                others = (BETWEEN, unseen_traffics(one.task, one.backend))
-                asked += [(names, min(one.episodes, ELSEWHERE)) for names in others]
-            for names, episodes in asked:
-                where = {"backend": one.backend, "env_config": one.env_config}
-                tested = {**where, "traffics": list(names), "episodes": episodes}
-                yield replace(one, kind="test", arm=name, test_on=tested, pair=made)
+                yield _tested(both, BETWEEN, ELSEWHERE)
+                yield _tested(both, unseen_traffics(one.task, one.backend), ELSEWHERE)
 
     def profile(self, task: str) -> dict[str, Any]:
         """Every setting of the learner on a task and the rules of its training, as plain values.
@@ -276,6 +266,13 @@ class Experiment:
     def _changes(self) -> dict[str, Any]:
         """Of config=("collision_reward=-2", "risk_law=linear")."""
         return _assignments(self.config, "--config", "collision_reward=-2")
+
+
+def _tested(agent: Cell, traffics: Iterable[str], most: int | None = None, **where: Any) -> Cell:
+    """A further test of an agent in some traffics, with its own number of episodes or so many at most."""
+    episodes = agent.episodes if most is None else min(agent.episodes, most)
+    here = {"backend": agent.backend, "env_config": agent.env_config, **where}
+    return replace(agent, kind="test", test_on={**here, "traffics": list(traffics), "episodes": episodes})
 
 
 def _assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:

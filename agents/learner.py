@@ -64,9 +64,8 @@ class Trained:
 
 
 class Learner(Protocol):
-    """See the module. ``about``: one line for people."""
+    """See the module."""
 
-    about: str
     Settings: type[Any]
 
     def train(

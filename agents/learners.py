@@ -23,7 +23,6 @@ MIN_INTERVAL = 100  # updates between two checkpoints at least
 class DoubleDQN:
     """This project's double DQN (`agents.dqn`)."""
 
-    about = "double DQN on any torch network (agents/dqn.py)"
     Settings = DQNConfig
 
     def train(

@@ -101,7 +101,6 @@ class StableBaselines3:
 
     def __init__(self, settings: type[Any]) -> None:
         self.Settings = settings
-        self.about = f"{settings.algorithm} of Stable-Baselines3, settings of highway-env's examples"
 
     def _model(self, env: gym.Env[Any, Any], settings: Any, seed: int | None) -> Any:
         import stable_baselines3

@@ -375,7 +375,7 @@ def network(env, scale):
     return torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(shape[0] * shape[1], 5)).requires_grad_(False)
 
 class Guess:
-    about, Settings = "a random network, and the returns of random actions", Settings
+    Settings = Settings
 
     def train(self, make_env, settings, seed, *, checkpoint=None, progress=print):
         envs, log, steps = make_env(2), {"step": [], "return": [], "length": [], "crashed": []}, 0

@@ -64,19 +64,6 @@ class FakeEnv(gym.Env):
         return picture
 
     @property
-    def scene(self) -> SimpleNamespace:
-        return SimpleNamespace(
-            ids=("ego", "v0"),
-            x=np.array([0.0, self.gap]),
-            y=np.array([4.0, 4.0]),
-            speed=np.array([self.speed, 15.0]),
-            heading=np.zeros(2),
-            crashed=np.array([self.crashed] * 2),
-            time=float(self.time),
-            in_event=frozenset(),
-        )
-
-    @property
     def vehicle(self) -> SimpleNamespace:
         return SimpleNamespace(
             target_lane_index=0,

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -116,10 +115,8 @@ def write(
 
     levels: numbers by task. diverged: slug of an agent. further: arms beside the two. asked: of the experiment.
     """
-    # Without a network, no report tries to replay agents that never were.
-    known = ("preset", "updates", "gamma")
     cells = [
-        replace(cell, profile={name: value for name, value in cell.profile.items() if name in known})
+        cell
         for task, numbers in levels.items()
         for cell in Experiment(
             tasks=(task,),

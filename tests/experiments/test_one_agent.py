@@ -136,9 +136,8 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
         watch.watch(watch.Options(tmp_path))
 
 
-def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_agent_can_be_published_and_loaded(tmp_path: Path) -> None:
     """With its card, and driving as it did, also where it observes the time."""
-    monkeypatch.setattr(publish, "COMPARED", 2)
     file, settings = tmp_path / "agents.npz", {"intersection": "intersection-10", "u-turn": "u-turn-3"}
     for task in settings:
         train.train(train.Options(task=task, out=tmp_path, risk="0", updates=60), ["--risk", "0"])

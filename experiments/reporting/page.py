@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from agents.checkpoint import open_regular
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.claims import all_hold
 from experiments.analysis.effects import ALL_TASKS
@@ -27,6 +30,7 @@ from experiments.study.design.verdict import of_results
 from experiments.study.results.store import Results, Store
 from sumo_env.hints import DOCUMENTATION
 
+LARGEST = 10_000_000  # bytes of a film
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
 
@@ -40,7 +44,7 @@ def page(results: Results, analysis: Analysis, others: Mapping[str, Analysis]) -
     return {
         "smoke": "smoke" in analysis.provenance["presets"],
         "backends": [backend(name, results, analysis) for name in names],
-        "films": sorted(path.name for path in results.directory.glob("*.gif")),
+        "films": films(results.directory),
         "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,
         "checks": checks(results.directory, names),
@@ -52,6 +56,16 @@ def page(results: Results, analysis: Analysis, others: Mapping[str, Analysis]) -
         "address": DOCUMENTATION,
         **{name: getattr(analysis, name) for name in ("plan", "plan_hash", "provenance", "negative_control")},
     }
+
+
+def films(directory: Path) -> dict[str, str]:
+    """The films that lie in a folder, by name, so that the page has them in itself."""
+    found = {}
+    for path in sorted(directory.glob("*.gif")):
+        with suppress(OSError), open_regular(path) as file:
+            if len(content := file.read(LARGEST + 1)) <= LARGEST:
+                found[path.name] = b64encode(content).decode()
+    return found
 
 
 def computed(results: Results) -> dict[str, Any]:

@@ -41,12 +41,11 @@ from experiments.support.files import write_json
 from experiments.support.provenance import provenance
 from sumo_env.tasks import TASKS
 
-SCHEMA = 7
+SCHEMA = 8
 # highway-env's own code alone, whose drivers see beyond the ends of their lanes; 15 Hz is its own frequency.
 REFERENCE_CONFIG = {"variant": "connected", "simulation_frequency": 15}
 BACKENDS = {"sumo": (10, 15), "replica": (15,)}  # and the frequencies that they are driven at [Hz]
 LEAST = 3  # steps in a slice
-IDLE = 1  # of the actions
 SEEDS = 100  # whose first observations are compared
 BATCH = 64  # environments
 TURNS, SECONDS = 9, 1.0  # of each comparison; of a slice
@@ -130,18 +129,6 @@ class Driver:
         """Different first observations of so many seeds."""
         return len({self._begin(seed).tobytes() for seed in range(seeds)})
 
-    def idle_crash_rate(self, seeds: int) -> float:
-        """Share of the episodes of so many seeds in which an ego crashes that always takes IDLE."""
-        idle, crashes = IDLE if self._batch is None else np.full(1, IDLE, np.int32), 0
-        for seed in range(seeds):
-            self._begin(seed)
-            over, info = False, {"crashed": False}
-            while not over:
-                _, _, terminated, truncated, info = self._env.step(idle)
-                over = bool(np.any(terminated) or np.any(truncated))
-            crashes += bool(np.all(info["crashed"]))
-        return crashes / seeds
-
 
 class Process(BaseManager):
     """A process for objects of this file: its method `Driver` makes one there."""
@@ -202,12 +189,11 @@ def measure_env(task: str, turns: int, seconds: float) -> Iterator[Record]:
 def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
     """highway-env, EnvPool's copy of it, the replica and SUMO as they come; EnvPool is left out if it is missing.
 
-    `distinct` is the number of different first observations of SEEDS seeds, `idle_crash_rate` that of always IDLE.
+    `distinct` is the number of different first observations of SEEDS seeds.
     """
     names = ["highway-env", *(["envpool"] if has_envpool() else []), "replica", "sumo"]
     for driver, line in in_turns({f"{name}, {task}": (name, task) for name in names}, turns, seconds):
-        crashes = driver.idle_crash_rate(round(100 * seconds))
-        yield {**line, "distinct": driver.distinct(SEEDS), "idle_crash_rate": crashes}
+        yield {**line, "distinct": driver.distinct(SEEDS)}
 
 
 def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:

@@ -86,7 +86,7 @@ RECORDS: dict[str, tuple[Any, ...]] = {
     "files": ([], {"episodes.parquet": "0" * 64}, {"con": "0" * 64}, {"x" * 300: "0" * 64}, {}),
 }
 # Entries that are taken out.
-NEEDED = ("schema", "key", "versions", "files", "timing", "learner")
+NEEDED: tuple[str, ...] = ("schema", "key", "versions", "files", "timing", "learner")
 NEEDED += tuple(
     path for path in RECORDS if path.startswith("key.") and path.count(".") == 1 and path != "key.test_on"
 )

@@ -42,12 +42,12 @@ class Controls:
     def command(self, speed: bool, lanes: bool) -> None:
         """From now on the speed, the lanes, both or neither are commanded."""
         if speed != self.speed:
-            self._session.set_modes(self._name, speed_mode=ALL_CHECKS_OFF if speed else self._modes[0])
+            self._session.vehicle.setSpeedMode(self._name, ALL_CHECKS_OFF if speed else self._modes[0])
             if not speed:
-                self._session.set_speed(self._name, -1.0)
+                self._session.vehicle.setSpeed(self._name, -1.0)
         if lanes != self.lanes:
             mode = COMMANDED_LANE_CHANGES if lanes else self._modes[1]
-            self._session.set_modes(self._name, lane_change_mode=mode)
+            self._session.vehicle.setLaneChangeMode(self._name, mode)
             self._is_changing = lanes
         self.speed, self.lanes = speed, lanes
 
@@ -99,13 +99,13 @@ class Ego:
                 allowed = speed_before(session.next_light(self._name), before, dt)
                 if allowed < self.speed:
                     self.speed, distance = allowed, (before + allowed) / 2.0 * dt
-        lane = session.lane_of(self._name)
+        lane = session.vehicle.getLaneID(self._name)
         if lane != self._lane:
             self._follow_fork(self._lane, lane)
             self._lane, self._stretch = lane, self._network.stretch(lane)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         if self.controls.speed:
-            session.set_speed(self._name, distance / session.step_length * self._stretch)
+            session.vehicle.setSpeed(self._name, distance / session.step_length * self._stretch)
         if not self.crashed:
             self._change_lane(lane)
         return distance
@@ -114,7 +114,7 @@ class Ego:
         """After a step in which SUMO has chosen the speed; returns the distance that was covered [m]."""
         if self.controls.speed:
             return 0.0
-        self.speed = self._session.speed_of(self._name) / self._stretch
+        self.speed = self._session.vehicle.getSpeed(self._name) / self._stretch
         return self.speed * self._session.step_length
 
     def _follow_fork(self, before: str, lane: str) -> None:
@@ -137,9 +137,9 @@ class Ego:
             return
         count = self._road.count(start, end)
         if self._road.oncoming:  # the lane of oncoming traffic is SUMO's opposite lane
-            self._session.change_lane_relative(self._name, 1 if target == 0 else -1)
+            self._session.vehicle.changeLaneRelative(self._name, 1 if target == 0 else -1, 0.0)
         elif count == self._road.count(*self.target_lane[:2]):
-            self._session.change_lane(self._name, self._network.sumo_index((start, end, target)))
+            self._session.vehicle.changeLane(self._name, self._network.sumo_index((start, end, target)), 0.0)
 
 
 @lru_cache(maxsize=32)

@@ -123,16 +123,16 @@ class FileSimulator(SumoSimulator):
 
     def _why_not_here(self, traffic: SumoTraffic) -> str:
         session, name = self._session, self._name
-        after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.time():g} s"
+        after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.simulation.getTime():g} s"
         if not self._is_alone:
             cars = (
                 f"of type {traffic.car_type!r}" if traffic.car_type else f"{name!r}, {self._scenario.further}"
             )
             return f"no learning car ({cars}) has departed within {after}"
-        if name in session.waiting():
+        if name in session.simulation.getPendingVehicles():
             return (
                 f"SUMO could not insert the ego {name!r} within {after}: there is no room for it where it departs, or "
-                f"its edge has no lane for vehicles of class {session.class_of(name)!r}"
+                f"its edge has no lane for vehicles of class {session.vehicle.getVehicleClass(name)!r}"
             )
         return (
             f"the ego {name!r} has not departed within {after}: it departs later ('wait', 'begin'), SUMO has refused "
@@ -173,7 +173,7 @@ class FileSimulator(SumoSimulator):
         """One step of SUMO; returns the pairs of vehicles that it reports in collision."""
         session = self._session
         reported = self._step_sumo()
-        for name in session.departed():
+        for name in session.simulation.getDepartedIDList():
             self._modes[name] = REGULAR, OWN_LANE_CHANGES
             if self._is_learning(name):
                 self._came.append(name)
@@ -187,7 +187,7 @@ class FileSimulator(SumoSimulator):
                 continue
             if name not in self._modes:
                 car.ego.ended = "arrived" if car.ego.is_near_its_end(self._dt) else "removed"
-            elif name in session.teleported():
+            elif name in session.simulation.getStartingTeleportIDList():
                 car.ego.ended = "removed"
         return reported
 
@@ -195,7 +195,7 @@ class FileSimulator(SumoSimulator):
 
     def _make_risky(self, name: str) -> None:
         """What the dose does to a vehicle that has come: its parameters, and its events once the episode has begun."""
-        if self._session.class_of(name) not in RISKY_CLASSES:
+        if self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
             return
         model = self._models.get(self._session.type_of(name), "")
         drawn = Deviation.draw(self._traffic.ranges, self._scenario.risk, self._scenario.seed, name)
@@ -209,7 +209,7 @@ class FileSimulator(SumoSimulator):
     def _drawn(self, name: str, start: float) -> tuple[RiskEvent, ...]:
         """The events of a vehicle from `start` [s] on; its random stream has its own name."""
         scenario, traffic = self._scenario, self._traffic
-        if name in self._came or self._session.class_of(name) not in RISKY_CLASSES:
+        if name in self._came or self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
             return ()
         seed = scenario.seed if traffic.imagined is None else traffic.imagined
         drawn = draw_events(
@@ -235,7 +235,7 @@ class FileSimulator(SumoSimulator):
         crashed = np.array([name in self._crashed for name in ids], np.bool_)
         crashed[: len(cars)] = [car.ego.crashed for car in cars.values()]
         sizes = {one: size for one, size in session.sizes.items() if one in states}
-        acting, waiting = self._events.acting, len(session.waiting())
+        acting, waiting = self._events.acting, len(session.simulation.getPendingVehicles())
         seen = [
             (NO_LIGHT if car.ego.ended in GONE else session.next_light(name), car.ego.place(waiting))
             for name, car in cars.items()

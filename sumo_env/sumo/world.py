@@ -8,6 +8,7 @@ read once per policy step.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.engine import LIBSUMO, window
 from sumo_env.sumo.events import Events, modes
 from sumo_env.sumo.options import LIVE
+from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
 from sumo_env.sumo.settings import Settings, placed_settings
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
@@ -92,8 +94,8 @@ class SumoSimulator:
         self._events.imagine(scenario.events)
 
     def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
-        """A function of libsumo, such as ``vehicle.getSpeed``."""
-        return self._session.call(path, arguments, named)
+        """A function of libsumo, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
+        return plain(operator.attrgetter(path)(self._session.sumo)(*arguments, **named))
 
     def clone(self) -> NoReturn:
         """SUMO cannot be copied within a process: see `SumoProcess`."""
@@ -252,8 +254,8 @@ class SumoSimulator:
         """One step in which the crashed vehicles coast; returns the pairs that SUMO reports in collision."""
         for name, speed in self._crashed.items():
             self._crashed[name], distance = coast(speed, self._dt)
-            stretch = self._network.stretch(self._session.lane_of(name))
-            self._session.set_speed(name, distance / self._session.step_length * stretch)
+            stretch = self._network.stretch(self._session.vehicle.getLaneID(name))
+            self._session.vehicle.setSpeed(name, distance / self._session.step_length * stretch)
         self._time += self._dt
         return self._session.step()
 
@@ -281,8 +283,9 @@ class SumoSimulator:
     def _crash(self, name: str) -> None:
         """From now on a vehicle coasts to a stop and stays where it is, as in highway-env."""
         if name not in self._crashed:
-            self._crashed[name] = self._session.speed_of(name)
-            self._session.set_modes(name, ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES)
+            self._crashed[name] = self._session.vehicle.getSpeed(name)
+            self._session.vehicle.setSpeedMode(name, ALL_CHECKS_OFF)
+            self._session.vehicle.setLaneChangeMode(name, COMMANDED_LANE_CHANGES)
 
     # -- vehicles that come and go (intersection) ----------------------------------------------------------
 
@@ -295,7 +298,7 @@ class SumoSimulator:
         if not self._network.road.clears_exits:
             return
         for name, state in self._session.read(n for n in self._modes if n not in commands).items():
-            start, end, place = self._network.indices[self._session.lane_of(name)]
+            start, end, place = self._network.indices[self._session.vehicle.getLaneID(name)]
             lane = self._network.road.lane((start, end, place))
             if (
                 end in self._network.ends
@@ -314,7 +317,7 @@ class SumoSimulator:
                     centres.append((spec.x, spec.y))
 
     def _remove(self, name: str) -> None:
-        self._session.remove(name)
+        self._session.vehicle.remove(name)
         self._forget(name)
 
     def _forget(self, name: str) -> None:

@@ -22,7 +22,7 @@ from sumo_env.sumo.session import (
     REGULAR,
     Session,
 )
-from sumo_env.traffic.drivers import Calibration, Deviation
+from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import SWERVE_TIME, RiskEvent, free_way, has_room
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
@@ -41,25 +41,24 @@ def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
     return speed_mode, lane_change_mode
 
 
-def deviate(session: Session, name: str, deviation: Deviation) -> None:
-    """Multiply the parameters of a vehicle's own type by the factors of a risky driver."""
+# The parameters of drivers in SUMO's words.
+IN_SUMO = {"accel": ("Accel",), "emergency_decel": ("EmergencyDecel",), "decel": ("ApparentDecel", "Decel")}
+IN_SUMO |= {"tau": ("Tau",), "min_gap": ("MinGap",)}
+
+
+def deviate(session: Session, name: str, factors: Mapping[str, float]) -> None:
+    """Multiply the parameters of a vehicle's own type by the factors of a risky driver (`drivers.deviation`)."""
     of = session.vehicle
-    for key, factor in (
-        ("Accel", deviation.accel),
-        ("EmergencyDecel", deviation.emergency_decel),
-        ("ApparentDecel", deviation.decel),
-        ("Decel", deviation.decel),
-        ("Tau", deviation.tau),
-        ("MinGap", deviation.min_gap),
-    ):
-        if factor != 1.0:  # each setter copies the vehicle's type
+    for parameter, keys in IN_SUMO.items():
+        factor = factors.get(parameter, 1.0)
+        for key in keys if factor != 1.0 else ():  # each setter copies the vehicle's type
             getattr(of, f"set{key}")(name, factor * getattr(of, f"get{key}")(name))
-    for key, factor in (("lcAssertive", deviation.assertive), ("lcSpeedGain", deviation.speed_gain)):
+    for key, factor in (("lcAssertive", factors["assertive"]), ("lcSpeedGain", factors["speed_gain"])):
         parameter = f"laneChangeModel.{key}"
         with suppress(ValueError, *session.errors):  # there are models of lane changes without it
             present = float(of.getParameter(name, parameter))
             of.setParameter(name, parameter, f"{factor * present:.6g}")
-    if not deviation.gives_way:
+    if not factors["gives_way"]:
         of.setSpeedMode(name, NO_RULES)
 
 

@@ -21,7 +21,7 @@ from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.settings import file_settings
 from sumo_env.sumo.world import SumoSimulator
-from sumo_env.traffic.drivers import Deviation
+from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events
 from sumo_env.traffic.scenario import Scenario, SumoTraffic
 
@@ -198,8 +198,8 @@ class FileSimulator(SumoSimulator):
         if self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
             return
         model = self._models.get(self._session.type_of(name), "")
-        drawn = Deviation.draw(self._traffic.ranges, self._scenario.risk, self._scenario.seed, name)
-        deviate(self._session, name, drawn.of_model(model))
+        drawn = self._traffic.ranges, self._scenario.risk, self._scenario.seed, name, model
+        deviate(self._session, name, deviation(*drawn))
         if self._time >= 0.0:
             self._plan(name, self._time)
 

@@ -11,6 +11,7 @@ import math
 from functools import lru_cache
 
 from sumo_env.actions import ego_route, follow_road
+from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.scene import RED, YELLOW, Light
 from sumo_env.simulator import EgoCommand
@@ -60,6 +61,8 @@ class Controls:
 class Ego:
     """The ego during one episode."""
 
+    ended = ""  # its way does not end
+
     def __init__(self, session: Session, scenario: Scenario, network: Network, spec: VehicleSpec) -> None:
         """spec: the ego among the scenario's learning cars."""
         self._name = spec.id
@@ -80,13 +83,13 @@ class Ego:
         self.target_speed = self.speed if speed is None else speed
         self.target_lane = self.target_lane if lane is None else lane
 
-    def drive(self, x: float, y: float, dt: float) -> float:
-        """Command the next `dt` [s] from the centre (x, y) [m]; returns the distance that will be covered [m].
+    def drive(self, here: State, dt: float) -> float:
+        """Command the next `dt` [s]; returns the distance that will be covered [m].
 
         Where SUMO drives, `settle` returns the distance.
         """
         session = self._session
-        self.target_lane = follow_road(self._road, self.target_lane, self._route, x, y)
+        self.target_lane = follow_road(self._road, self.target_lane, self._route, *here[:2])
         if self.crashed:
             self.controls.command(True, True)
             self.speed, distance = coast(self.speed, dt)
@@ -110,7 +113,7 @@ class Ego:
             self._change_lane(lane)
         return distance
 
-    def settle(self) -> float:
+    def settle(self, dt: float) -> float:
         """After a step in which SUMO has chosen the speed; returns the distance that was covered [m]."""
         if self.controls.speed:
             return 0.0

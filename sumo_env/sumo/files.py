@@ -10,22 +10,21 @@ import tempfile
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from sumo_env.scene import NO_LIGHT, Scene
-from sumo_env.simulator import Commands, SimulatorError, Step
+from sumo_env.scene import NO_LIGHT, Light, Place, Scene
+from sumo_env.simulator import Commands, SimulatorError
+from sumo_env.sumo.car import Car
 from sumo_env.sumo.events import deviate
 from sumo_env.sumo.options import OUTPUT_DIR
 from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.settings import file_settings
-from sumo_env.sumo.world import SumoSimulator
+from sumo_env.sumo.world import GONE, SumoSimulator
 from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events
 from sumo_env.traffic.scenario import Scenario, SumoTraffic
 
-GONE = ("arrived", "removed")  # how a car's way may have ended off the road
 # Classes whose drivers risk changes: those of roads, but bicycles.
 RISKY_CLASSES = {
     *("passenger", "private", "taxi", "hov", "evehicle", "bus", "coach", "delivery", "truck", "trailer"),
@@ -141,33 +140,16 @@ class FileSimulator(SumoSimulator):
 
     # -- a policy step -------------------------------------------------------------------------------------
 
-    def _step(self, commands: Commands, trace: bool) -> Step:
-        self._session.check()
+    def _come_and_go(self, commands: Commands) -> None:
+        """Cars that are at their end, and have no command, are SUMO's from now on."""
         for name in [name for name, car in self._cars.items() if car.ego.ended and name not in commands]:
             car = self._cars.pop(name)
             if name in self._modes:
-                car.ego.controls.command(False, False)  # SUMO's from now on
-        self._obey(commands)
-        scenes = []
-        for _ in range(self._substeps):
-            driving = [car for car in self._cars.values() if not car.ego.ended]
-            if not driving:
-                break
-            self._events.act(self._time, self._dt)
-            for car in driving:
-                car.ego.drive(self._dt)
-            reported = self._advance()
-            for car in driving:
-                if car.ego.ended not in GONE:
-                    car.distance += car.ego.settle(self._dt)
-                    if (crash := car.look(self._time, self._dt, reported)) is not None:
-                        self._hit(car, crash)
-            self._take_wheels()
-            if trace:
-                scenes.append(self._read())
-        scene = scenes[-1] if scenes else self._read()
-        met = {name: car.met() for name, car in self._cars.items()}
-        return Step(scene, met, (tuple(scenes) or (scene,)) if trace else ())
+                car.ego.controls.command(False, False)
+
+    def _note(self, reported: Sequence[tuple[str, str]]) -> None:
+        """Crashes of others change nothing, as with ``sumo``; learning cars may have departed."""
+        self._take_wheels()
 
     def _advance(self) -> Sequence[tuple[str, str]]:
         """One step of SUMO; returns the pairs of vehicles that it reports in collision."""
@@ -225,25 +207,9 @@ class FileSimulator(SumoSimulator):
 
     # -- reading -------------------------------------------------------------------------------------------
 
-    def _read(self) -> Scene:
-        """The scene by SUMO's vehicles, the learning cars first."""
-        session, cars = self._session, self._cars
-        others = [name for name in session.vehicles() if name not in cars]
-        states = {name: car.around.ego for name, car in cars.items()} | session.read(others)
-        ids = tuple(states)
-        x, y, speed, heading = map(np.array, zip(*states.values(), strict=True))
-        crashed = np.array([name in self._crashed for name in ids], np.bool_)
-        crashed[: len(cars)] = [car.ego.crashed for car in cars.values()]
-        sizes = {one: size for one, size in session.sizes.items() if one in states}
-        acting, waiting = self._events.acting, len(session.simulation.getPendingVehicles())
-        seen = [
-            (NO_LIGHT if car.ego.ended in GONE else session.next_light(name), car.ego.place(waiting))
-            for name, car in cars.items()
-        ]
-        return Scene(
-            *(ids, x, y, speed, heading, crashed, round(self._time, 6), acting, sizes),
-            light=seen[0][0] if seen else NO_LIGHT,
-            place=seen[0][1] if seen else None,
-            cars=len(cars),
-            further=dict(zip(ids[1:], seen[1:], strict=False)),
-        )
+    def _others(self) -> list[str]:
+        return [name for name in self._session.vehicles() if name not in self._cars]
+
+    def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:
+        light = NO_LIGHT if car.ego.ended in GONE else self._session.next_light(name)
+        return light, car.ego.place(len(self._session.simulation.getPendingVehicles()))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from math import inf
 
+from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import NOBODY, Neighbour, Place
@@ -70,8 +71,8 @@ class RouteEgo:
         self.red_light = False
         self.controls.command(self._target_speed is not None, self._target_lane is not None)
 
-    def drive(self, dt: float) -> None:
-        """Command the next step of `dt` [s]."""
+    def drive(self, here: State, dt: float) -> float:
+        """Command the next step of `dt` [s]; `settle` says how far it gets."""
         session, name, before = self._session, self._name, self.speed
         self._signal = session.next_signal(name)
         if self.crashed:
@@ -90,6 +91,7 @@ class RouteEgo:
             session.vehicle.setSpeed(name, speed)
         if not self.crashed:
             self._change_lane()
+        return 0.0
 
     def _change_lane(self) -> None:
         """Ask for the target lane; SUMO changes there within the step, or in the time that its options say."""

@@ -19,7 +19,7 @@ import numpy as np
 from sumo_env.contacts.crash import CrashRecord, is_confirmed
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.files import is_file
-from sumo_env.scene import NO_LIGHT, Scene
+from sumo_env.scene import NO_LIGHT, Light, Place, Scene
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo.car import Car
 from sumo_env.sumo.ego import Ego, coast
@@ -34,6 +34,7 @@ from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, 
 
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 MOST_KEPT = 1024  # vehicle types that stay loaded between episodes
+GONE = ("arrived", "removed")  # how a car's way may have ended off the road
 NOISY = {"carFollowModel", "sigma", "lcSigma"}  # attributes with which SUMO's drivers may draw random numbers
 
 
@@ -191,7 +192,7 @@ class SumoSimulator:
         if not scenario.warm_up:
             return
         for _ in range(round(scenario.warm_up / self._dt)):
-            self._note_crashes(self._advance())
+            self._note(self._advance())
         self._time = 0.0
         self._let_in()
         for name, state in self._session.read(self._modes).items():
@@ -201,29 +202,36 @@ class SumoSimulator:
     # -- a policy step -------------------------------------------------------------------------------------
 
     def _step(self, commands: Commands, trace: bool) -> Step:
+        self._session.check()
+        self._come_and_go(commands)
+        self._obey(commands)
+        scenes: list[Scene] = []
+        for _ in range(self._substeps):
+            driving = [car for car in self._cars.values() if not car.ego.ended]
+            if not driving:
+                break
+            self._events.act(self._time, self._dt)
+            for car in driving:
+                car.distance += car.ego.drive(car.around.ego, self._dt)
+            reported = self._advance()
+            for car in driving:
+                if car.name in self._cars and car.ego.ended not in GONE:
+                    car.distance += car.ego.settle(self._dt)
+                    if (crash := car.look(self._time, self._dt, reported)) is not None:
+                        self._hit(car, crash)
+            self._note(reported)
+            if trace:
+                scenes.append(self._read())
+        scene = scenes[-1] if scenes else self._read()
+        met = {name: car.met() for name, car in self._cars.items()}
+        return Step(scene, met, (tuple(scenes) or (scene,)) if trace else ())
+
+    def _come_and_go(self, commands: Commands) -> None:
+        """What happens to vehicles between two policy steps."""
         if self._steps_done:
             self._let_out(commands)
             self._let_in()
         self._steps_done += 1
-        self._session.check()
-        self._obey(commands)
-        scenes, cars = [], self._cars.values()  # a view: a car may leave the road in between
-        for _ in range(self._substeps):
-            self._events.act(self._time, self._dt)
-            for car in cars:
-                x, y, _, _ = car.around.ego
-                car.distance += car.ego.drive(x, y, self._dt)
-            reported = self._advance()
-            for car in cars:
-                car.distance += car.ego.settle()
-                if (crash := car.look(self._time, self._dt, reported)) is not None:
-                    self._hit(car, crash)
-            if reported:
-                self._note_crashes(reported)
-            if trace:
-                scenes.append(self._read())
-        scene = scenes[-1] if trace else self._read()
-        return Step(scene, {name: car.met() for name, car in self._cars.items()}, tuple(scenes))
 
     def _obey(self, commands: Commands) -> None:
         """Begin a policy step of the learning cars: who has no command is SUMO's."""
@@ -266,7 +274,7 @@ class SumoSimulator:
         else:
             self._crash(crash.other)
 
-    def _note_crashes(self, reported: Sequence[tuple[str, str]]) -> None:
+    def _note(self, reported: Sequence[tuple[str, str]]) -> None:
         """Crashes of the other traffic are those that SUMO reports; the first one of a learning car is its own."""
         cars = self._cars
         for pair in reported:
@@ -329,22 +337,15 @@ class SumoSimulator:
     def _read(self) -> Scene:
         """The scene by SUMO's vehicles, the learning cars first."""
         cars = self._cars
-        ids = (*cars, *[name for name in self._modes if name not in cars])
-        present = self._session.vehicles()
-        if len(present) > len(ids):  # somebody else has added vehicles
-            ids += tuple(name for name in present if name not in self._modes)
+        ids, seen = (*cars, *self._others()), [self._seen(name, car) for name, car in cars.items()]
         states: dict[str, State] = {}
         for car in cars.values():
-            states |= car.around.near
-        lights = []
-        for name, car in cars.items():
-            states[name] = car.around.ego
-            lights.append(self._session.next_light(name))
+            states |= car.around.near if not car.ego.ended else {}
+        states |= {name: car.around.ego for name, car in cars.items()}
         states |= self._session.read([name for name in ids if name not in states])
         x, y, speed, heading = map(np.array, zip(*[states[name] for name in ids], strict=True))
         crashed = np.zeros(len(ids), np.bool_)
-        for row, car in enumerate(cars.values()):
-            crashed[row] = car.ego.crashed
+        crashed[: len(cars)] = [car.ego.crashed for car in cars.values()]
         if self._crashed:
             for row, name in enumerate(ids):
                 if name in self._crashed:  # a commanded speed, as the ego's
@@ -352,9 +353,22 @@ class SumoSimulator:
         sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
         return Scene(
             *(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting, sizes),
-            *(lights[0] if lights else NO_LIGHT, None, len(cars)),
-            {name: (light, None) for name, light in zip(cars, lights, strict=True) if name != ids[0]},
+            *(seen[0] if seen else (NO_LIGHT, None)),
+            cars=len(cars),
+            further=dict(zip(ids[1:], seen[1:], strict=False)),
         )
+
+    def _others(self) -> list[str]:
+        """The vehicles but learning cars: first those of the scenario, then those that somebody else has added."""
+        known = [name for name in self._modes if name not in self._cars]
+        present = self._session.vehicles()
+        if len(present) > len(known) + len(self._cars):
+            known += [name for name in present if name not in self._modes]
+        return known
+
+    def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:
+        """What a learning car has ahead of it."""
+        return self._session.next_light(name), None
 
 
 def _leaves_traces(scenario: Scenario) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
 from sumo_env.config import refuse_misplaced
@@ -72,14 +72,12 @@ class SumoVectorEnv(SyncVectorEnv):
         """
         if config := (options or {}).get("config"):
             self._check(config)
-        seeds = [None] * self.num_envs if seed is None else seed
-        if isinstance(seeds, (int, np.integer)):
-            seeds = [int(seeds) + index for index in range(self.num_envs)]
-        if len(seeds) == self.num_envs and "reset_mask" not in (options or {}):
+        seeds = seeds_of(self, seed)
+        if "reset_mask" not in (options or {}):
             for env, one in zip(self._ahead, seeds, strict=True):
                 env.begin("reset", seed=one, options=options)
         try:
-            return super().reset(seed=list(seeds), options=options)
+            return super().reset(seed=seeds, options=options)
         finally:
             self._settle()
 
@@ -91,13 +89,7 @@ class SumoVectorEnv(SyncVectorEnv):
         Raises:
             ValueError: not one action of the action space for each environment.
         """
-        actions = np.asarray(actions)
-        if isinstance(self.single_action_space, gym.spaces.Box):  # each environment checks its own numbers
-            known = actions.shape == self.action_space.shape
-        else:
-            known = np.issubdtype(actions.dtype, np.integer) and self.action_space.contains(actions)
-        if not known:
-            raise ValueError(f"actions must be {self.num_envs} of {self.single_action_space}, not {actions}")
+        actions = actions_of(self, actions)
         resets = self.autoreset_mode is AutoresetMode.NEXT_STEP
         for env, action, over in zip(self._ahead, list(actions), self._autoreset_envs, strict=True):
             if over and resets:
@@ -130,6 +122,27 @@ class SumoVectorEnv(SyncVectorEnv):
         """After an error in one environment, let the others finish what they have begun."""
         for env in self._ahead:
             env.settle()
+
+
+def seeds_of(envs: VectorEnv, seed: int | Sequence[int | None] | None) -> list[int | None]:
+    """A seed for each environment: an integer means seed, seed + 1, ...; ValueError: too many or too few."""
+    if seed is None or isinstance(seed, int | np.integer):
+        return [None if seed is None else int(seed) + index for index in range(envs.num_envs)]
+    if len(seed) != envs.num_envs:
+        raise ValueError(f"{envs.num_envs} seeds are needed, not a list of length={len(seed)}")
+    return list(seed)
+
+
+def actions_of(envs: VectorEnv, actions: Any) -> NDArray[Any]:
+    """One action for each environment; ValueError if they are none. Whether numbers are actions is looked at later."""
+    actions = np.asarray(actions)
+    if isinstance(envs.single_action_space, gym.spaces.Box):
+        known = actions.shape == envs.action_space.shape
+    else:
+        known = np.issubdtype(actions.dtype, np.integer) and envs.action_space.contains(actions)
+    if not known:
+        raise ValueError(f"actions must be {envs.num_envs} of {envs.single_action_space}, not {actions}")
+    return actions
 
 
 class _Ahead(gym.Wrapper[Any, Any, Any, Any]):

@@ -40,7 +40,6 @@ TEMPLATES = ROOT / "docs" / "templates"
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 ALL = "all tasks"
 LIGHTEST = "lightest"
-SAFE = 5.0  # [s] without a contact, which the stored search for ways out of a crash asked for
 CONSTANT = ("idle", "random", "faster", "slower")
 NO_BREAK = "\N{NO-BREAK SPACE}"  # in cells of a table: a narrow screen scrolls instead of breaking numbers
 WORDS = [
@@ -82,7 +81,7 @@ def episodes(folder: str) -> pd.DataFrame:
     Columns: of the stored episodes; task, level, setting, kind, arm, policy and seed of their cell, and the `seconds`
     that an episode lasts.
     """
-    columns = ["cell", "traffic", "scenario", "crashed", "crash_time", "crash_type", "distance", "return"]
+    columns = ["cell", "traffic", "scenario", "crashed", "crash_time", "distance", "return"]
     records = pd.read_parquet(RESULTS / folder / "cells.parquet").set_index("cell")["record"].map(json.loads)
     keys = pd.DataFrame([{"cell": name, **record["key"]} for name, record in records.items()])
     keys["setting"] = keys["task"] + " " + keys["level_name"]
@@ -148,9 +147,9 @@ class Number:
         return self.shown(self.value)
 
     @property
-    def whole(self) -> str:
-        """Without the interval and decimals: "−13"."""
-        return plain(self.value, 0, self.signed)
+    def marked(self) -> str:
+        """Without the interval, bold where that excludes 0: "**−12.8**"."""
+        return f"**{self.estimate}**" if self.low > 0 or self.high < 0 else self.estimate
 
     @property
     def interval(self) -> str:
@@ -246,14 +245,20 @@ def effect(
     return number(found, scale, kind.digits, unit)
 
 
-def change(folder: str, outcome: str, traffic: str, scope: str, arms: Sequence[str] = ("treatment",)) -> str:
-    """A cell of a table: control→arms, and their differences from control ("38→34: **−4** [−7, −1]")."""
-    rows = [row_of(folder, outcome, traffic, scope, arm) for arm in arms]
+def change(folder: str, outcome: str, traffic: str, scope: str) -> str:
+    """A cell of a table: control→treatment, and the difference ("38→34: **−4** [−7, −1]")."""
+    row = row_of(folder, outcome, traffic, scope)
     scale, digits = (100, 0) if OUTCOMES[outcome].percent else (1, 1)
-    means = [rows[0]["mean_against"], *(row["mean_arm"] for row in rows)]
-    levels = "→".join(f"{scale * mean:.{digits}f}" for mean in means)
-    finer = 1 if scope == ALL else digits
-    return f"{levels}: {', '.join(bold(row, scale, finer) for row in rows)}"
+    levels = "→".join(f"{scale * row[name]:.{digits}f}" for name in ("mean_against", "mean_arm"))
+    return f"{levels}: {bold(row, scale, 1 if scope == ALL else digits)}"
+
+
+def rates(folder: str, traffic: str, scope: str, arms: Sequence[str]) -> str:
+    """Cells of a table: crash rates of control and of arms in per cent, bold where the arm differs ("21 | **15**")."""
+    rows = [row_of(folder, "crashed", traffic, scope, arm) for arm in arms]
+    marks = ["**" if row["low"] > 0 or row["high"] < 0 else "" for row in rows]
+    cells = [f"{mark}{100 * row['mean_arm']:.0f}{mark}" for row, mark in zip(rows, marks, strict=True)]
+    return " | ".join([f"{100 * rows[0]['mean_against']:.0f}", *cells])
 
 
 def bold(row: dict[str, Any], scale: float, digits: int) -> str:
@@ -375,16 +380,6 @@ def late_crashes(folder: str, setting: str, arm: str = "treatment", traffic: str
     return count(crashes["crash_time"] > crashes["seconds"] - 1.0)
 
 
-def additional_crashes(folder: str, setting: str, traffic: str, kind: str) -> Count:
-    """By how many crashes the treatment exceeds control, and how many more of them are of one kind ("rear-end")."""
-    kinds = [
-        drives(folder, setting, traffic, arm).query("crashed")["crash_type"]
-        for arm in ("treatment", "control")
-    ]
-    of_kind = [(own == kind).sum() for own in kinds]
-    return Count(int(of_kind[0] - of_kind[1]), len(kinds[0]) - len(kinds[1]))
-
-
 def entering(folder: str, setting: str, traffic: str, arm: str) -> str:
     """In how many per cent of the episodes the ego gets into the roundabout or intersection: "28"."""
     way = drives(folder, setting, traffic, arm)["distance"]
@@ -405,39 +400,18 @@ def with_noise_of_episodes(folder: str, setting: str, traffic: str) -> Number:
 # -- tables beside the studies -----------------------------------------------------------------------------------------
 
 
-def other_learners(column: str, digits: int) -> Iterator[list[str]]:
-    """Lines of a table: traffic and learner, then by task the mean of a column over its trainings."""
+def other_learners() -> Iterator[list[str]]:
+    """Lines of a table: the learner, then by task the crash rate in risky traffic over its trainings."""
     stored = table("other-learners/trainings.parquet")
     trained = stored[~stored["learner"].isin([*CONSTANT, "idm", "careful"])]
-    return as_lines(trained.groupby(["traffic", "learner", "task"])[column].mean(), digits)
-
-
-def other_learner(learner: str, task: str, traffic: str) -> float:
-    """A crash rate of that table, also of drivers of fixed rules."""
-    rows = chosen(table("other-learners/trainings.parquet"), learner=learner, task=task, traffic=traffic)
-    return float(rows["crashed"].mean())
+    frame = chosen(trained, traffic="risky").groupby(["learner", "task"])["crashed"].mean().unstack("task")
+    for learner, values in frame[[task for task in TASKS if task in frame]].iterrows():
+        yield [str(learner), *(f"{value:.2f}" for value in values)]
 
 
 def planner_scenarios() -> list[int]:
     """The scenarios that the planners have driven, the same in each traffic and task."""
     return sorted(set(table("copies/planners.parquet")["scenario"]))
-
-
-def planners(column: str, digits: int) -> Iterator[list[str]]:
-    """Lines of a table: traffic and driver, then by task the mean of a column in the planners' scenarios."""
-    study = chosen(episodes("standard"), level=1, scenario=planner_scenarios())
-    study = study.assign(policy=study["arm"].where(study["kind"] == "agent", study["policy"]))
-    study = chosen(study, policy=("careful", "control", "treatment"))
-    rows = pd.concat([table("copies/planners.parquet"), study], ignore_index=True)
-    rows["progress"] = rows["distance"] / rows["task"].map(study.groupby("task")["seconds"].first())
-    return as_lines(rows.groupby(["traffic", "policy", "task"])[column].mean(), digits)
-
-
-def as_lines(means: pd.Series, digits: int) -> Iterator[list[str]]:
-    """Lines of a table from a number for each traffic, name and task, the tasks in their order."""
-    frame = means.unstack("task")
-    for row, values in frame[[task for task in TASKS if task in frame]].iterrows():
-        yield [", ".join(map(str, row)), *(f"{value:.{digits}f}" for value in values)]
 
 
 def share(found: Count) -> str:
@@ -447,12 +421,12 @@ def share(found: Count) -> str:
 
 
 def avoidable() -> Iterator[list[str]]:
-    """Lines of a table: how many crashes could still be avoided 1, 2 and 3 s before."""
+    """Lines of a table: how many crashes could still be avoided 2 and 3 s before."""
     crashes = table("copies/avoidable.parquet")
     for (task, level, arm), own in crashes.groupby(["task", "level_name", "arm"]):
         before = own["contact"] - own["last"]
-        shares = [share(count(before <= seconds)) for seconds in (1, 2, 3)]
-        yield [f"{task} {level}, {arm}", str(len(own)), *shares, str((own["clear"] < SAFE).sum())]
+        shares = [share(count(before <= seconds)) for seconds in (2, 3)]
+        yield [f"{task} {level}, {arm}", str(len(own)), *shares]
 
 
 @cache
@@ -476,13 +450,6 @@ def variant(name: str, task: str) -> dict[str, float]:
     rows = choice(900, 901).xs((task, name), level=("task", "variant"))
     changes = rows.groupby("arm")["change"].mean()
     return {"score": rows["return"].mean(), "largest": rows["largest"].max(), **changes}
-
-
-def checked(name: str, task: str) -> str:
-    """The cells of a line: of seed 905 return and change of control and treatment, and the largest Q-value."""
-    rows = choice(905).xs((task, name, 905), level=("task", "variant", "seed")).loc[["control", "treatment"]]
-    cells = [*map(short, [*rows["return"], *rows["change"]]), short(rows["largest"].max(), 2)]
-    return " | ".join(cells)
 
 
 def hazard(second: int, longer: bool) -> str:
@@ -537,10 +504,10 @@ def road_ratio(task: str, unit: str, traffic: str, other: str) -> str:
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    above_frontier, additional_crashes, avoidable, change, checked, checks, corruptions, decided, effect, entering,
-    failing, hazard, late_crashes, missed, more_crashes, other_learner, other_learners, passing, planner_scenarios,
-    planners, price, price_limits, progress, rate, returns, road_ratio, road_units, row, settings, tasks, validation,
-    variant, with_noise_of_episodes,
+    above_frontier, avoidable, change, checks, corruptions, decided, effect, entering, failing, hazard,
+    late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, price_limits,
+    progress, rate, rates, returns, road_ratio, road_units, row, settings, tasks, validation, variant,
+    with_noise_of_episodes,
 ]  # fmt: skip
 
 

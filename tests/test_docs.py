@@ -103,12 +103,13 @@ def test_a_task_s_page_names_its_keys_its_levels_and_its_reward(task: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("name", "keys"),
+    ("names", "keys"),
     [
-        ("collisions.md", CrashRecord.__dataclass_fields__),
-        ("from-highway-env.md", {*WITHOUT_EFFECT, *FIXED}),
-        ("scenarios.md", NetworkTask.defaults),
+        (["collisions.md"], CrashRecord.__dataclass_fields__),
+        (["from-highway-env.md"], {*WITHOUT_EFFECT, *FIXED}),
+        (["scenarios.md", "own-network.md"], NetworkTask.defaults),
     ],
 )
-def test_keys_that_users_meet_elsewhere_are_named(name: str, keys: Iterable[str]) -> None:
-    assert set(keys) - set(re.findall(r"`(\w+)`", page(name) + page("environments/common.md"))) == set()
+def test_keys_that_users_meet_elsewhere_are_named(names: list[str], keys: Iterable[str]) -> None:
+    text = "".join(map(page, [*names, "environments/common.md"]))
+    assert set(keys) - set(re.findall(r"`(\w+)`", text)) == set()

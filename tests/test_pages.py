@@ -78,7 +78,7 @@ Agents = dict[tuple[str, str], dict[str, pd.DataFrame]]  # setting ("u-turn 3"),
 @cache
 def agents(folder: str) -> Agents:
     """The test episodes of each agent, from the names of the cells alone; "-on-replica" is part of an arm's name."""
-    columns = ["cell", "traffic", "scenario", "crashed", "mean_speed", "distance", "crash_time", "crash_type"]
+    columns = ["cell", "traffic", "scenario", "crashed", "mean_speed", "distance", "crash_time"]
     found: Agents = {}
     for name, rows in pd.read_parquet(RESULTS / folder / "episodes.parquet", columns=columns).groupby("cell"):
         parts = NAME.fullmatch(str(name))
@@ -156,6 +156,9 @@ def test_speed_and_rates_are_the_agents_means() -> None:
     )
     cell = pages.change("second", "crashed", "risky", "roundabout 5")
     assert cell.startswith(f"{control:.0f}→{treated:.0f}: **−{control - treated:.0f}**")
+    assert (
+        pages.rates("second", "risky", "roundabout 5", ["treatment"]) == f"{control:.0f} | **{treated:.0f}**"
+    )
 
 
 @pytest.mark.parametrize("arm", ["dense", "dose25", "dose50", "dose75"])
@@ -186,20 +189,6 @@ def test_late_crashes_are_counted(folder: str, setting: str, arm: str) -> None:
     assert pages.late_crashes(folder, setting, arm) == pages.Count(late, crashes)
 
 
-def test_further_crashes_are_counted_by_their_kind() -> None:
-    treated, control = (
-        [
-            kind
-            for rows in drives("second", "intersection 30", arm, "regular")
-            for kind in rows["crash_type"].dropna()
-        ]
-        for arm in ("treatment", "control")
-    )
-    found = pages.additional_crashes("second", "intersection 30", "regular", "rear-end")
-    assert found.of == len(treated) - len(control)
-    assert found.number == treated.count("rear-end") - control.count("rear-end")
-
-
 def test_the_share_that_enters_the_roundabout() -> None:
     rows = pd.concat(drives("second", "roundabout 15", "treatment", "regular"))
     entered = sum(way >= CROSSINGS["roundabout"] for way in rows["distance"])
@@ -227,35 +216,26 @@ def test_shares_of_avoidable_crashes_have_wilsons_intervals() -> None:
     assert {row["cell"] for row in own} == {own[0]["cell"]}
     avoided = sum(row["contact"] - row["last"] <= 2 for row in own)
     low, high = proportion_confint(avoided, len(own), method="wilson")
-    assert lines["u-turn 3, control"][2] == f"{avoided / len(own):.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+    assert lines["u-turn 3, control"][1] == f"{avoided / len(own):.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
-def test_planners_and_agents_are_compared_in_the_same_scenarios() -> None:
+def test_planners_crash_in_regular_traffic_on_the_two_way_road_alone() -> None:
+    """docs/learner.md; all of them drive the same scenarios."""
     stored = pd.read_parquet(RESULTS / "copies" / "planners.parquet")
     scenarios = pages.planner_scenarios()
     driven = stored.groupby(["task", "traffic", "policy"])["scenario"].apply(sorted)
     assert len(driven) == 15 and all(numbers == scenarios for numbers in driven)
-    rows = pd.concat(drives("standard", "u-turn 3", "treatment", "risky"))
-    rows = rows[[number in scenarios for number in rows["scenario"]]]
-    for column, digits, mean in (
-        ("crashed", 2, rows["crashed"].mean()),
-        ("progress", 1, rows["distance"].mean() / 10),
-    ):
-        [line] = [cells for cells in pages.planners(column, digits) if cells[0] == "risky, treatment"]
-        assert line[-1] == f"{mean:.{digits}f}"
+    assert set(stored[stored["crashed"] & (stored["traffic"] == "regular")]["task"]) == {"two-way"}
 
 
 def test_other_learners_are_told_with_all_their_trainings() -> None:
     stored = pd.read_parquet(RESULTS / "other-learners" / "trainings.parquet")
-    lines = {name: cells for name, *cells in pages.other_learners("crashed", 2)}
-    for name, cells in lines.items():
-        traffic, learner = name.split(", ")
-        of_task = stored[(stored["traffic"] == traffic) & (stored["learner"] == learner)].groupby(
-            "task", sort=False
-        )
+    lines = {name: cells for name, *cells in pages.other_learners()}
+    for learner, cells in lines.items():
+        of_task = stored[(stored["traffic"] == "risky") & (stored["learner"] == learner)].groupby("task")
         assert (of_task["training"].nunique() == 3).all() and len(of_task) == len(cells)
     ppo = stored.query("learner == 'sb3-ppo' and traffic == 'risky' and task == 'u-turn'")
-    assert lines["risky, sb3-ppo"][-1] == f"{fmean(ppo['crashed']):.2f}"
+    assert lines["sb3-ppo"][-1] == f"{fmean(ppo['crashed']):.2f}"
 
 
 def test_the_choice_of_the_learner_is_told_as_it_was_stored() -> None:
@@ -268,11 +248,6 @@ def test_the_choice_of_the_learner_is_told_as_it_was_stored() -> None:
     assert found["score"] == pytest.approx(fmean(ended))
     assert found["control"] == pytest.approx(fmean(after) - fmean(before))
     assert found["largest"] == pytest.approx(max(row["largest_q"] / row["q_bound"] for row in own))
-    trained = [row for row in runs if (row["task"], row["variant"]) == ("intersection", "second")]
-    treated = [row["return"] / 13 for row in trained if (row["share"], row["arm"]) == (1.0, "treatment")]
-    assert pages.checked("second", "intersection").split(" | ")[1] == f"{fmean(treated):.3f}".removeprefix(
-        "0"
-    )
     longer = [row for row in runs if row["variant"] == "half-128-longer" and row["share"] == 1.0]
     on_road = [row for row in longer if (row["crash_time"] if row["crashed"] else row["length"]) > 8]
     crashes = [row for row in on_road if row["crashed"] and row["crash_time"] <= 9]
@@ -363,18 +338,10 @@ def test_what_the_second_study_finds_in_other_traffic() -> None:
 
 
 def test_what_the_second_study_says_of_its_learner() -> None:
-    """docs/study.md: values exceed the bound on the two-way road alone; last seconds; where no driver gets as far."""
+    """docs/study.md: Q-values exceed the bound on the two-way road alone."""
     study = pages.analysis("second")
     planned = study.gates[study.gates["arm"].isin(["control", "treatment", "mixed"])]
     assert set(planned.loc[planned["q_bounded"].eq(False), "task"]) == {"two-way"}
-    late = pages.row("second", "learner", check="last second", task="u-turn", arm="treatment")
-    assert late["low"] <= 1 <= late["high"]
-    light = study.frontier.query("traffic == 'risky' and level == 1 and arm == 'treatment'").set_index("task")
-    assert set(light.index[light["inside"] == 0]) == {"highway", "two-way", "intersection"}
-    drawn = study.effects.query(
-        "arm == 'drawn' and outcome == 'crashed' and term == 'regular' and against == 'control'"
-    )
-    assert drawn.set_index("task")["estimate"].idxmax() == "two-way"
 
 
 def test_all_agents_of_further_arms_of_the_first_study_pass_the_gates() -> None:

@@ -14,11 +14,12 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from sumo_env.config import refuse_misplaced
 from sumo_env.driving import DrivingEnv
+from sumo_env.interface import actions_of, seeds_of
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks.base import Task
 
@@ -122,27 +123,6 @@ class SumoVectorEnv(SyncVectorEnv):
         """After an error in one environment, let the others finish what they have begun."""
         for env in self._ahead:
             env.settle()
-
-
-def seeds_of(envs: VectorEnv, seed: int | Sequence[int | None] | None) -> list[int | None]:
-    """A seed for each environment: an integer means seed, seed + 1, ...; ValueError: too many or too few."""
-    if seed is None or isinstance(seed, int | np.integer):
-        return [None if seed is None else int(seed) + index for index in range(envs.num_envs)]
-    if len(seed) != envs.num_envs:
-        raise ValueError(f"{envs.num_envs} seeds are needed, not a list of length={len(seed)}")
-    return list(seed)
-
-
-def actions_of(envs: VectorEnv, actions: Any) -> NDArray[Any]:
-    """One action for each environment; ValueError if they are none. Whether numbers are actions is looked at later."""
-    actions = np.asarray(actions)
-    if isinstance(envs.single_action_space, gym.spaces.Box):
-        known = actions.shape == envs.action_space.shape
-    else:
-        known = np.issubdtype(actions.dtype, np.integer) and envs.action_space.contains(actions)
-    if not known:
-        raise ValueError(f"actions must be {envs.num_envs} of {envs.single_action_space}, not {actions}")
-    return actions
 
 
 class _Ahead(gym.Wrapper[Any, Any, Any, Any]):

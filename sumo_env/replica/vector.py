@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sumo_env.actions import ContinuousAction
 from sumo_env.config import ConfigError
 from sumo_env.contacts.measures import NEAR_MISS_TTC
+from sumo_env.interface import actions_of, seeds_of
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, seeded, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SIDES, SPEEDS, Law, Start
@@ -28,7 +29,6 @@ from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import steered
 from sumo_env.tasks import TASKS, VARIANTS
 from sumo_env.tasks.base import nearest_index
-from sumo_env.vector import actions_of, seeds_of
 
 RESULTS = kernels.OUTCOME.names or ()
 PATIENCE = 1e-5  # [s] until it is looked again whether all threads have begun

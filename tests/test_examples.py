@@ -74,7 +74,7 @@ def test_the_table_of_arrivals_is_what_was_measured() -> None:
             counts = [[line[f"risk {risk}"].get("arrived", 0) for line in of] for risk in (0, 1)]
             assert cell == (" / ".join(f"{several(arrived):g}" for arrived in counts) if of else "")
             cells += bool(of)
-    assert not drivers and cells == 16  # Braunschweig and the grid: one of the two learners
+    assert not drivers and cells == 17  # Braunschweig: one of the two learners
 
 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

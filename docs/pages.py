@@ -485,18 +485,12 @@ def road_units(task: str, unit: str, digits: int) -> str:
     return f"{', '.join(doses)}; **{measured}**".replace(" ", NO_BREAK) if values.any() else ""
 
 
-def road_ratio(task: str, unit: str, traffic: str, other: str) -> str:
-    """How many times the rate of another traffic one has."""
-    rates = chosen(table("road-units.parquet"), task=task).set_index("traffic")[unit]
-    return plain(rates[traffic] / rates[other], 0)
-
-
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
     avoidable, change, checks, corruptions, decided, effect, entering, failing, hazard,
     late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, price_limits,
-    rate, rates, returns, road_ratio, road_units, row, settings, tasks, validation, variant,
+    rate, rates, returns, road_units, row, settings, tasks, validation, variant,
     with_noise_of_episodes,
 ]  # fmt: skip
 

@@ -287,11 +287,6 @@ def rate(folder: str, who: str, traffic: str, scope: str = ALL, digits: int = 0)
     return plain(100 * mean_of(folder, "crashed", who, traffic, scope), digits)
 
 
-def progress(folder: str, who: str, traffic: str, scope: str = ALL) -> str:
-    """Metres per second of the time limit: "11.3"."""
-    return plain(mean_of(folder, "progress", who, traffic, scope), 1)
-
-
 def more_crashes(folder: str, arm: str, traffic: str, scope: str) -> str:
     """How many points more often than control agents those of an arm crash, without its sign: "27"."""
     both = [mean_of(folder, "crashed", who, traffic, scope) for who in (arm, "control")]
@@ -335,11 +330,6 @@ def price(folder: str, traffic: str, scope: str = ALL) -> Number:
 def price_limits(folder: str, traffic: str) -> str:
     """The upper limits task by task: "2.1, 3.8, ..."."""
     return ", ".join(plain(price(folder, traffic, task).high, 1) for task in tasks(folder))
-
-
-def above_frontier(folder: str, setting: str, traffic: str, arm: str = "treatment") -> Number:
-    """Crash rate above that of careful and constant drivers that get as far, with its interval over agents."""
-    return number(in_scope(chosen(analysis(folder).frontier, arm=arm, traffic=traffic), setting).iloc[0])
 
 
 # -- the agents of a study ---------------------------------------------------------------------------------------------
@@ -495,18 +485,12 @@ def road_units(task: str, unit: str, digits: int) -> str:
     return f"{', '.join(doses)}; **{measured}**".replace(" ", NO_BREAK) if values.any() else ""
 
 
-def road_ratio(task: str, unit: str, traffic: str, other: str) -> str:
-    """How many times the rate of another traffic one has."""
-    rates = chosen(table("road-units.parquet"), task=task).set_index("traffic")[unit]
-    return plain(rates[traffic] / rates[other], 0)
-
-
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    above_frontier, avoidable, change, checks, corruptions, decided, effect, entering, failing, hazard,
+    avoidable, change, checks, corruptions, decided, effect, entering, failing, hazard,
     late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, price_limits,
-    progress, rate, rates, returns, road_ratio, road_units, row, settings, tasks, validation, variant,
+    rate, rates, returns, road_units, row, settings, tasks, validation, variant,
     with_noise_of_episodes,
 ]  # fmt: skip
 

@@ -66,7 +66,7 @@ def _with_routes(path: Path, changed: int, routes: Routes) -> Network:
     for name, way in routes:
         check_route(plain, name, way, "")
     ways = {name: tuple(f"{edge}:{end}" for edge in way for end in ("from", "to")) for name, way in routes}
-    return replace(plain, road=plain.road.with_ways(ways), routes=dict(routes))
+    return replace(plain, road=replace(plain.road, ways=ways), routes=dict(routes))
 
 
 def lanes_for(network: Network, edge: str, vehicles: str = CAR) -> list[LaneIndex]:

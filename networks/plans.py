@@ -125,7 +125,7 @@ def _edge(road: Road, start: str, end: str, before: float, after: float, priorit
     return _way(start, end, n, shape, left.speed_limit, priority)
 
 
-def _bow(start: Point, direction: float, end: Point, end_direction: float) -> Line:
+def bow(start: Point, direction: float, end: Point, end_direction: float) -> Line:
     """A smooth curve (cubic Bezier) between two points with given headings [rad]."""
     reach = math.dist(start, end) / 3
     if reach < GAP:
@@ -144,7 +144,7 @@ def _join(road: Road, first: LaneIndex, second: LaneIndex, trim: tuple[float, fl
     """From the end of lane `first` (less `trim[0]` m) onto the start of lane `second` (plus `trim[1]` m)."""
     a, b = road.lane(first), road.lane(second)
     s_a, s_b = a.length - trim[0] * _scale(road, first), trim[1] * _scale(road, second)
-    shape = _bow(a.position(s_a, 0.0), a.heading_at(s_a), b.position(s_b, 0.0), b.heading_at(s_b))
+    shape = bow(a.position(s_a, 0.0), a.heading_at(s_a), b.position(s_b, 0.0), b.heading_at(s_b))
     n_a, n_b = road.count(*first[:2]), road.count(*second[:2])
     edges = f"{first[0]}-{first[1]}", f"{second[0]}-{second[1]}"
     return _connection(*edges, n_a - 1 - first[2], n_b - 1 - second[2], shape)

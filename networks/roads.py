@@ -8,9 +8,10 @@ highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. In SUM
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from operator import itemgetter
 from typing import Any
 
@@ -21,16 +22,11 @@ from sumo_env.networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, 
 
 LaneIndex = tuple[str, str, int]
 
-CELL = 4.0  # [m] side of the squares for which `closest_lane` keeps lanes in the order of their distance
-SAMPLE = 1.0  # [m] between the points that stand for a lane there
-FEW = 4  # lanes that are all looked at: ordering them would cost more
-MANY = 256  # lanes of which only those around a cell are kept for it
-AROUND = 50.0  # [m] further from the cell than the nearest lane
+FEW = 6  # lanes that are all looked at for the closest one: finding out which matter would cost more
+SAMPLE = 1.0  # [m] between the points that stand for a lane of more
 
 
-_Candidate = tuple[float, int, LaneIndex, Lane]  # lower bound of its distance [m], place among the lanes
-
-
+@dataclass(eq=False)
 class Road:
     """An immutable set of named lanes and the graph that they form.
 
@@ -46,52 +42,29 @@ class Road:
     turned_by_matrix: whether highway-env computes lanes by turning those of one arm (``IntersectionEnv._make_road``).
     """
 
-    def __init__(
-        self,
-        name: str,
-        lanes: Mapping[LaneIndex, Lane],
-        ways: Mapping[str, tuple[str, ...]] | None = None,
-        arguments: tuple[tuple[str, float], ...] = (),
-        oncoming: bool = False,
-        clears_exits: bool = False,
-        leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] | None = None,
-        joined: bool = False,
-        regulated: bool = False,
-        turned_by_matrix: bool = False,
-    ) -> None:
-        self.name, self.arguments = name, arguments
-        self.oncoming, self.clears_exits = oncoming, clears_exits
-        self.joined, self.regulated, self.turned_by_matrix = joined, regulated, turned_by_matrix
-        self.ways: Mapping[str, tuple[str, ...]] = ways or {}
-        self.leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] = leads or {}
-        self.lanes: Mapping[LaneIndex, Lane] = dict(_graph_order(lanes))
-        self._items = tuple((0.0, rank, *item) for rank, item in enumerate(self.lanes.items()))
-        self._cells: dict[tuple[float, float], tuple[_Candidate, ...]] = {}
-        self._samples: tuple[list[NDArray[np.float64]], NDArray[np.float64]] | None = None
-        self._counts: dict[tuple[str, str], int] = {}
-        successors: dict[str, list[str]] = {}
-        for start, end, _ in self.lanes:
-            self._counts[start, end] = self._counts.get((start, end), 0) + 1
-            if end not in successors.setdefault(start, []):
-                successors[start].append(end)
-        self.successors = {node: tuple(ends) for node, ends in successors.items()}
+    name: str
+    lanes: Mapping[LaneIndex, Lane]
+    ways: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    arguments: tuple[tuple[str, float], ...] = ()
+    oncoming: bool = False
+    clears_exits: bool = False
+    leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] = field(default_factory=dict)
+    joined: bool = False
+    regulated: bool = False
+    turned_by_matrix: bool = False
+
+    def __post_init__(self) -> None:
+        self.lanes = dict(_graph_order(self.lanes))
+        self._counts = dict(Counter(index[:2] for index in self.lanes))
+        self.successors: dict[str, tuple[str, ...]] = {}
+        for start, end in self._counts:
+            self.successors[start] = (*self.successors.get(start, ()), end)
 
     def __repr__(self) -> str:
         return f"Road({self.name!r}, {len(self.lanes)} lanes)"
 
-    def __reduce__(self) -> tuple[type[Road], tuple[object, ...]]:
-        # without what is kept for `closest_lane`
-        given = self.name, self.lanes, self.ways, self.arguments, self.oncoming, self.clears_exits, self.leads
-        return Road, (*given, self.joined, self.regulated, self.turned_by_matrix)
-
     def __deepcopy__(self, memo: dict[int, object]) -> Road:
         return self  # immutable
-
-    def with_ways(self, ways: Mapping[str, tuple[str, ...]]) -> Road:
-        """The same road with other ways."""
-        road = Road.__new__(Road)
-        road.__dict__.update(self.__dict__, ways=ways)
-        return road
 
     def lane(self, index: LaneIndex) -> Lane:
         """The lane of this index; KeyError if the road has none."""
@@ -162,55 +135,29 @@ class Road:
 
         highway-env's ``RoadNetwork.get_closest_lane_index``.
         """
-        candidates = self._items
-        if len(candidates) > FEW:
-            cell = x // CELL, y // CELL
-            candidates = self._cells.get(cell) or self._by_distance(cell)
-        best, best_rank, best_distance = candidates[0][2], len(candidates), math.inf
-        for least, rank, index, lane in candidates:
-            if least > best_distance:
-                break
-            distance = lane.distance(x, y, heading)
-            if distance < best_distance or (distance == best_distance and rank < best_rank):
-                best, best_rank, best_distance = index, rank, distance
-        if best_distance > _bound(AROUND) and len(candidates) < len(self._items):  # far from the road
-            return min(self.lanes, key=lambda index: self.lanes[index].distance(x, y, heading))
-        return best
+        names: Iterable[LaneIndex] = self.lanes
 
-    def _by_distance(self, cell: tuple[float, float]) -> tuple[_Candidate, ...]:
-        """The lanes by a lower bound of their distance from all points of a cell, which is kept for the next time."""
-        if self._samples is None:
-            lanes = [_points(lane) for lane in self.lanes.values()]
-            self._samples = lanes, np.array([(points.min(axis=0), points.max(axis=0)) for points in lanes])
-        samples, boxes = self._samples
-        centre = (np.array(cell) + 0.5) * CELL
-        places = np.arange(len(samples))
-        if len(samples) > MANY:
-            gaps = np.hypot(*np.maximum(0.0, np.maximum(boxes[:, 0] - centre, centre - boxes[:, 1])).T)
-            places = np.flatnonzero(gaps <= gaps.min() + AROUND)
-        points = [samples[place] for place in places]
-        starts = np.cumsum([0, *(len(some) for some in points[:-1])])
-        nearest = np.minimum.reduceat(np.hypot(*(np.concatenate(points) - centre).T), starts)
-        order = [
-            (bound, *self._items[place][1:])
-            for bound, place in zip(_bound(nearest).tolist(), places.tolist(), strict=True)
-        ]
-        self._cells[cell] = tuple(sorted(order))
-        return self._cells[cell]
+        def distance(index: LaneIndex) -> float:
+            return self.lanes[index].distance(x, y, heading)
 
+        if len(self.lanes) > FEW:
+            known, low, high = self._boxes
+            # the least distances that are possible; on a sine lane, whose s is measured along its axis, 7 % less
+            least = 0.9 * np.hypot(*np.maximum(0.0, np.maximum(low - (x, y), (x, y) - high)).T)
+            enough = distance(known[least.argmin()])
+            names = [known[place] for place in np.flatnonzero(least <= enough).tolist()]
+        return min(names, key=distance)
 
-def _bound(distance: Any) -> Any:
-    """The least distance, in a lane's frame, of all points of a cell to a lane this far [m] from its centre.
-
-    It is at least the straight distance, except on a sine lane, whose s is measured along its axis: 7 % may be missing.
-    """
-    return 0.9 * (distance - CELL / math.sqrt(2.0) - SAMPLE)
-
-
-def _points(lane: Lane) -> NDArray[np.float64]:
-    """Points along a lane, ends included, shape (n, 2) [m]."""
-    places = np.linspace(0.0, lane.length, math.ceil(lane.length / SAMPLE) + 1)
-    return np.array([lane.position(s, 0.0) for s in places.tolist()])
+    @cached_property
+    def _boxes(self) -> tuple[list[LaneIndex], NDArray[np.float64], NDArray[np.float64]]:
+        """The lanes, and the corners of boxes in which they are, shape (lanes, 2) each [m]."""
+        corners = []
+        for lane in self.lanes.values():
+            places = np.linspace(0.0, lane.length, math.ceil(lane.length / SAMPLE) + 1)
+            points = np.array([lane.position(s, 0.0) for s in places.tolist()])
+            corners.append((points.min(axis=0) - SAMPLE, points.max(axis=0) + SAMPLE))
+        low, high = np.array(corners).swapaxes(0, 1)
+        return list(self.lanes), low, high
 
 
 def _graph_order(lanes: Mapping[LaneIndex, Lane]) -> list[tuple[LaneIndex, Lane]]:

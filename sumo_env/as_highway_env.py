@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from sumo_env.actions import ActionType as Kind
 from sumo_env.config import Config
 from sumo_env.hints import missing, never_called, page
-from sumo_env.neighbours import LeadersFollowers
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.observation import TimeToCollision
-from sumo_env.occupancy import OccupancyGrid
+from sumo_env.observation import Situation
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
@@ -97,14 +95,12 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     def _observe(self) -> NDArray[np.float32]:
         if self._own_observation is not None:
             return self._own_observation.observe()
-        kind, seen = self._observation_type, (self.scene, self._road, self.ego_state)
-        if isinstance(kind, TimeToCollision):
-            return kind.observe(*seen, self.target_speeds, self._route)
-        if isinstance(kind, LeadersFollowers):
-            return kind.observe(*seen)
-        if isinstance(kind, OccupancyGrid):
-            return kind.observe(self.scene, self._road, self._spec_of)
-        return kind.observe(*seen, self._spec_of, self.np_random)
+        seen: NDArray[np.float32] = self._observation_type.observe(self._situation())
+        return seen
+
+    def _situation(self) -> Situation:
+        seen = self.scene, self._road, self.ego_state, self._spec_of, self.np_random
+        return Situation(*seen, self.target_speeds, self._route)
 
     @property
     def time(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
-from sumo_env.as_highway_env import ReadAsHighwayEnv, class_or_instance
+from sumo_env.as_highway_env import class_or_instance
 from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, resolve
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import ending, information, interface, on_its_way
@@ -32,7 +32,7 @@ Observation = NDArray[np.float32]
 VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
 
 
-class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
+class DrivingEnv(OnScreen, OwnSumo):
     """One of the five driving tasks on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each

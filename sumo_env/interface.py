@@ -1,13 +1,19 @@
-"""The agent's side of a task, as a function of the configuration alone, and the ``info`` of a step.
+"""The agent's side of a task, as a function of the configuration alone, the ``info`` of a step, and what is given to
+several environments at once.
 
 Separate from the environment because the backend highway-env of the experiments uses it as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType, action_type
 from sumo_env.config import MEASURED, Config, ConfigError
@@ -131,3 +137,24 @@ def on_its_way(place: Place) -> dict[str, Any]:
         "fuel": place.fuel,
         "electricity": place.electricity,
     }
+
+
+def seeds_of(envs: VectorEnv, seed: int | Sequence[int | None] | None) -> list[int | None]:
+    """A seed for each environment: an integer means seed, seed + 1, ...; ValueError: too many or too few."""
+    if seed is None or isinstance(seed, int | np.integer):
+        return [None if seed is None else int(seed) + index for index in range(envs.num_envs)]
+    if len(seed) != envs.num_envs:
+        raise ValueError(f"{envs.num_envs} seeds are needed, not a list of length={len(seed)}")
+    return list(seed)
+
+
+def actions_of(envs: VectorEnv, actions: Any) -> NDArray[Any]:
+    """One action for each environment; ValueError if they are none. Whether numbers are actions is looked at later."""
+    actions = np.asarray(actions)
+    if isinstance(envs.single_action_space, gym.spaces.Box):
+        known = actions.shape == envs.action_space.shape
+    else:
+        known = np.issubdtype(actions.dtype, np.integer) and envs.action_space.contains(actions)
+    if not known:
+        raise ValueError(f"actions must be {envs.num_envs} of {envs.single_action_space}, not {actions}")
+    return actions

@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from sumo_env.config import ConfigError, one_of
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.observation import Array, on_its_way
+from sumo_env.observation import Array, Situation, on_its_way
 from sumo_env.scene import (
     CLOSING,
     MAX_SPEED,
@@ -23,7 +23,6 @@ from sumo_env.scene import (
     Neighbour,
     Scene,
 )
-from sumo_env.tasks.base import EgoState
 
 MARGIN = 1.0  # [m] beside a lane, where a vehicle still counts (``Road.neighbour_vehicles``)
 LONGEST = 60.0  # [s] that a traffic light is seen to last
@@ -56,8 +55,9 @@ class LeadersFollowers:
         most = (self._most / self._scale).astype(np.float32)
         self.space = spaces.Box(-most, most, dtype=np.float32)
 
-    def observe(self, scene: Scene, road: Road, ego: EgoState) -> Array:
+    def observe(self, seen: Situation) -> Array:
         """The numbers."""
+        scene, road, ego = seen[:3]
         start, end, own = ego.lane
         exist = [0 <= place < road.count(start, end) for place in (own - 1, own, own + 1)]
         if scene.place is not None:
@@ -73,8 +73,8 @@ class LeadersFollowers:
                     [PERCEPTION_DISTANCE, 0.0] if nobody else [neighbour.gap, neighbour.speed - ego.speed]
                 )
         if self.features:
-            seen = on_its_way(scene)
-            values += [seen[feature] for feature in self.features]
+            known = on_its_way(scene)
+            values += [known[feature] for feature in self.features]
         return (np.clip(values, -self._most, self._most) / self._scale).astype(np.float32)
 
 

@@ -39,6 +39,19 @@ class Eyes(NamedTuple):
     is_sorted: bool
 
 
+class Situation(NamedTuple):
+    """What an observation is made of; before_ego: others that are first in their cell of a grid, before the ego."""
+
+    scene: Scene
+    road: Road
+    ego: EgoState
+    specs: Mapping[str, VehicleSpec]  # of the vehicles, by id
+    rng: np.random.Generator  # shuffles the rows of a table
+    target_speeds: tuple[float, ...]  # that the ego can be commanded [m/s]
+    route: tuple[str, ...]  # nodes of the ego's
+    before_ego: int = 0
+
+
 class Kinematics:
     """highway-env's `KinematicObservation`: one row per vehicle, the ego first, then the others by distance.
 
@@ -117,21 +130,10 @@ class Kinematics:
             seen.sort()
         return [0, *[row for _, row in seen[: self.eyes.rows - 1]]]
 
-    def observe(
-        self,
-        scene: Scene,
-        road: Road,
-        ego: EgoState,
-        specs: Mapping[str, VehicleSpec],
-        rng: np.random.Generator,
-    ) -> Array:
-        """The table, float32 of shape (vehicles_count, features), rows without a vehicle are zero.
-
-        `specs`: the vehicles by id; cos_d and sin_d point to their destinations. `rng` shuffles the rows if
-        `order` is "shuffled".
-        """
-        rows = self.visible(scene, road, ego.lane)
-        columns = self.columns(scene, road, rows, specs)
+    def observe(self, seen: Situation) -> Array:
+        """The table, float32 of shape (vehicles_count, features), rows without a vehicle are zero."""
+        rows = self.visible(seen.scene, seen.road, seen.ego.lane)
+        columns = self.columns(seen.scene, seen.road, rows, seen.specs)
         values = np.array([columns[feature] for feature in self.features]).T
         eyes = self.eyes
         values[1:] -= values[0] * eyes.relative
@@ -142,7 +144,7 @@ class Kinematics:
         table = np.zeros((eyes.rows, len(self.features)), np.float32)
         table[: len(rows)] = values
         if not eyes.is_sorted:
-            rng.shuffle(table[1:])
+            seen.rng.shuffle(table[1:])
         return table
 
     def columns(
@@ -286,21 +288,15 @@ class TimeToCollision:
         self.ranges: dict[str, tuple[float, float]] = {}
         self.absolute = False
 
-    def observe(
-        self,
-        scene: Scene,
-        road: Road,
-        ego: EgoState,
-        target_speeds: tuple[float, ...],
-        route: tuple[str, ...],
-    ) -> Array:
+    def observe(self, seen: Situation) -> Array:
         """The grid, float32 of shape (3, 3, steps)."""
+        scene, road, ego = seen[:3]
         # what is left of the route begins with the road that is steered for (`ControlledVehicle.follow_road`)
-        roads = [(start, end, 0) for start, end in pairwise(route)]
+        roads = [(start, end, 0) for start, end in pairwise(seen.route)]
         target = (*ego.target_lane[:2], 0)
         ahead = roads[roads.index(target) :] if target in roads else []
         lanes = road.count(*ego.lane[:2])
-        grid = np.zeros((len(target_speeds), lanes, self.steps))
+        grid = np.zeros((len(seen.target_speeds), lanes, self.steps))
         geometry = road.lane(ego.lane)
         here = geometry.local_coordinates(float(scene.x[0]), float(scene.y[0]))[0]
         for row in range(1, len(scene)):
@@ -313,7 +309,7 @@ class TimeToCollision:
             speed = float(scene.speed[row])
             projected = speed * math.cos(heading - ego.heading)
             distance = geometry.local_coordinates(x, y)[0] - here
-            for k, own in enumerate(target_speeds):
+            for k, own in enumerate(seen.target_speeds):
                 if own == speed:
                     continue
                 closing = own - projected

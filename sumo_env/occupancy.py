@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from sumo_env.config import OCCUPANCY_GRID, ConfigError, one_of
 from sumo_env.networks.roads import Road
-from sumo_env.observation import FEATURES, RELATIVE, Kinematics, ranges_of
+from sumo_env.observation import FEATURES, RELATIVE, Kinematics, Situation, ranges_of
 from sumo_env.scene import MAX_SPEED, Scene
-from sumo_env.traffic.scenario import VehicleSpec
 
 ON_ROAD = "on_road"
 AROUND = 100.0  # [m] along each lane, either way, as far as the road is drawn
@@ -67,15 +66,11 @@ class OccupancyGrid:
         named = [*{"x", "y", *self.features} - {ON_ROAD}]
         self._table = Kinematics({"features": named, "observe_intentions": True}, 1)
 
-    def observe(
-        self, scene: Scene, road: Road, specs: Mapping[str, VehicleSpec], before_ego: int = 0
-    ) -> NDArray[Any]:
-        """The grid, float32 (or uint8 `as_image`) of shape (features, cells along x, cells along y).
-
-        specs: the vehicles by id; before_ego: others that are first in their cell, before the ego.
-        """
+    def observe(self, seen: Situation) -> NDArray[Any]:
+        """The grid, float32 (or uint8 `as_image`) of shape (features, cells along x, cells along y)."""
+        scene, road, before_ego = seen.scene, seen.road, seen.before_ego
         rows = list(range(len(scene)))
-        columns = self._table.columns(scene, road, rows, specs)
+        columns = self._table.columns(scene, road, rows, seen.specs)
         x, y = np.array(columns["x"]), np.array(columns["y"])
         first, second = self._cells(scene, x - x[0], y - y[0])
         inside = (first >= 0) & (first < self.shape[1]) & (second >= 0) & (second < self.shape[2])

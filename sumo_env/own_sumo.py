@@ -12,10 +12,9 @@ from pathlib import Path
 import gymnasium as gym
 
 from sumo_env import export
+from sumo_env.as_highway_env import ReadAsHighwayEnv
 from sumo_env.config import ConfigError
 from sumo_env.networks import files
-from sumo_env.networks.roads import Road
-from sumo_env.scene import Scene
 from sumo_env.simulator import Commands, Simulator
 from sumo_env.sumo.options import OUTPUT_DIR, check_live, check_options
 from sumo_env.sumo.process import SumoProcess
@@ -24,23 +23,19 @@ from sumo_env.sumo.settings import file_settings
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.foreign import check_outputs
-from sumo_env.traffic.scenario import Scenario, VehicleSpec
+from sumo_env.traffic.scenario import Scenario
 from sumo_env.traffic.sumo_files import is_output
 
 
-class OwnSumo:
+class OwnSumo(ReadAsHighwayEnv):
     """The part of `DrivingEnv` that starts its SUMO and hands it out."""
 
     task: Task
-    scene: Scene
     scenario: Scenario | None
     _given: Simulator | None
     _simulator: Simulator | None
     _options: tuple[str, ...]
     _commands: list[Commands]
-    _road: Road
-    _route: tuple[str, ...]
-    _spec_of: dict[str, VehicleSpec]
 
     def _prepare_sumo(
         self,

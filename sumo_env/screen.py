@@ -9,8 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ActionType
-from sumo_env.config import Config
+from sumo_env.as_highway_env import ReadAsHighwayEnv
 from sumo_env.scene import Scene
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
@@ -22,16 +21,13 @@ if TYPE_CHECKING:
     from sumo_env.window import Window
 
 
-class OnScreen:
+class OnScreen(ReadAsHighwayEnv):
     """The part of `DrivingEnv` that shows its scene."""
 
-    config: Config
     metadata: dict[str, Any]
     render_mode: str | None
     scenario: Scenario | None
-    scene: Scene
     task: Task
-    _action_type: ActionType
     _renderer: Renderer | None = None
     _video: RecordVideo[Any, Any] | None = None
     _window: Window | None = None  # of render mode "human"

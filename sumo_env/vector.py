@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sumo_env.config import refuse_misplaced
 from sumo_env.driving import DrivingEnv
+from sumo_env.interface import actions_of, seeds_of
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks.base import Task
 
@@ -72,14 +73,12 @@ class SumoVectorEnv(SyncVectorEnv):
         """
         if config := (options or {}).get("config"):
             self._check(config)
-        seeds = [None] * self.num_envs if seed is None else seed
-        if isinstance(seeds, (int, np.integer)):
-            seeds = [int(seeds) + index for index in range(self.num_envs)]
-        if len(seeds) == self.num_envs and "reset_mask" not in (options or {}):
+        seeds = seeds_of(self, seed)
+        if "reset_mask" not in (options or {}):
             for env, one in zip(self._ahead, seeds, strict=True):
                 env.begin("reset", seed=one, options=options)
         try:
-            return super().reset(seed=list(seeds), options=options)
+            return super().reset(seed=seeds, options=options)
         finally:
             self._settle()
 
@@ -91,13 +90,7 @@ class SumoVectorEnv(SyncVectorEnv):
         Raises:
             ValueError: not one action of the action space for each environment.
         """
-        actions = np.asarray(actions)
-        if isinstance(self.single_action_space, gym.spaces.Box):  # each environment checks its own numbers
-            known = actions.shape == self.action_space.shape
-        else:
-            known = np.issubdtype(actions.dtype, np.integer) and self.action_space.contains(actions)
-        if not known:
-            raise ValueError(f"actions must be {self.num_envs} of {self.single_action_space}, not {actions}")
+        actions = actions_of(self, actions)
         resets = self.autoreset_mode is AutoresetMode.NEXT_STEP
         for env, action, over in zip(self._ahead, list(actions), self._autoreset_envs, strict=True):
             if over and resets:

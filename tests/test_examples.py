@@ -49,7 +49,7 @@ def test_a_script_runs(name: str, tmp_path: Path) -> None:
 def test_the_table_of_arrivals_is_what_was_measured() -> None:
     """Arrivals at risk 0 / at risk 1 in `arrive.json`; of agents the median of the trainings, of constants the most."""
     lines = json.loads((EXAMPLES / "arrive.json").read_text(encoding="utf-8"))
-    page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
     title, _, *table = page.partition("| driver |")[2].partition("\n\n")[0].splitlines()
     scenarios = dict(zip(title.replace("|", " ").split(), ("ramp", "grid", "town"), strict=True))
     constants = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")

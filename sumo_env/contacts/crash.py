@@ -135,12 +135,14 @@ class CrashDetector:
         reported: Collection[str],
         halves: Sequence[Half] = (),
     ) -> CrashRecord | None:
-        """Judge one sub-step of `dt` [s] that has ended at `time` [s]; returns `crash`.
+        """Judge one sub-step; returns `crash`.
 
         Args:
-            time, dt: [s].
+            time: [s] of the end of the sub-step.
+            dt: [s] that it lasts.
             ids: of the vehicles that may have touched the ego; the ego is the first.
-            before, after: their states at the start and at the end of the sub-step, in the order of `ids`.
+            before: their states at the start of the sub-step, in the order of `ids`.
+            after: their states at its end.
             reported: ids of the vehicles with which SUMO reports a collision of the ego in this sub-step.
             halves: half sizes in the order of `ids`, the ego's first; all are cars without them.
         """

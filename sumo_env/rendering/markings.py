@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.networks.lanes import Lane, StraightLane, wrap_to_pi
+from sumo_env.networks.plans import bow
 from sumo_env.networks.roads import LaneIndex, Road
 
 Points = NDArray[np.float64]  # shape (k, 2) [m]
@@ -57,22 +58,9 @@ def _strip(lane: Lane, first: float, last: float) -> Points:
 
 def _bend(before: Lane, after: Lane) -> Points:
     """A smooth centre line from the end of one lane to the start of another."""
-    (x0, y0), h0 = before.position(before.length, 0.0), before.heading_at(before.length)
-    (x3, y3), h3 = after.position(0.0, 0.0), after.heading_at(0.0)
-    reach = math.hypot(x3 - x0, y3 - y0) / 2.5
-    controls = np.array(
-        [
-            (x0, y0),
-            (x0 + reach * math.cos(h0), y0 + reach * math.sin(h0)),
-            (x3 - reach * math.cos(h3), y3 - reach * math.sin(h3)),
-            (x3, y3),
-        ]
-    )
-    t = np.linspace(0.0, 1.0, 12)[:, None]
-    p0, p1, p2, p3 = controls
-    points = (1 - t) ** 3 * p0 + 3 * (1 - t) ** 2 * t * p1 + 3 * (1 - t) * t**2 * p2 + t**3 * p3
-    slopes = (1 - t) ** 2 * (p1 - p0) + 2 * (1 - t) * t * (p2 - p1) + t**2 * (p3 - p2)
-    return np.column_stack([points, np.arctan2(slopes[:, 1], slopes[:, 0])])
+    end = before.position(before.length, 0.0), before.heading_at(before.length)
+    x, y = np.array(bow(*end, after.position(0.0, 0.0), after.heading_at(0.0))).T
+    return np.column_stack([x, y, np.arctan2(np.gradient(y), np.gradient(x))])
 
 
 def _outline(strip: Points, half_width: float) -> Points:

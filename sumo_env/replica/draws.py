@@ -195,7 +195,7 @@ def _driver(road: Road, delta: float = DELTA) -> Driver:
 
 
 def with_other_drivers(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with another driver in every vehicle but the ego.
+    """The scenario with another driver in every vehicle but learning cars.
 
     A driver of a pool is replaced by one of the same pool. Of highway-env's own drivers the exponent of IDM is drawn,
     which is what ``IDMVehicle.randomize_behavior`` draws, unless it is the one that drivers have without it. The seed
@@ -204,15 +204,9 @@ def with_other_drivers(scenario: Scenario, seed: int) -> Scenario:
     rng = stream(seed, "imagined drivers")
     pool_of = {driver.type: pool.drivers for pool in scenario.pools for driver in pool.drivers}
 
-    def other(spec: VehicleSpec) -> VehicleSpec:
-        driver = spec.driver
-        if driver.type in pool_of:
-            pool = pool_of[driver.type]
-            driver = pool[rng.integers(len(pool))]
-        elif driver.delta != DELTA:
-            driver = replace(driver, delta=float(rng.uniform(*DELTA_RANGE)))
-        return spec._replace(driver=driver)
+    def other(driver: Driver) -> Driver:
+        if pool := pool_of.get(driver.type):
+            return pool[rng.integers(len(pool))]
+        return replace(driver, delta=_delta(rng)) if driver.delta != DELTA else driver
 
-    vehicles = tuple(other(spec) for spec in scenario.vehicles)
-    spawns = tuple(replace(spawn, vehicle=other(spawn.vehicle)) for spawn in scenario.spawns)
-    return replace(scenario, seed=seed, vehicles=vehicles, spawns=spawns)
+    return replace(scenario.with_drivers(other), seed=seed)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sumo_env.actions import ContinuousAction
 from sumo_env.config import ConfigError
 from sumo_env.contacts.measures import NEAR_MISS_TTC
+from sumo_env.interface import actions_of, seeds_of
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, seeded, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SIDES, SPEEDS, Law, Start
@@ -121,12 +122,7 @@ class ReplicaVectorEnv(VectorEnv):
             raise ValueError(f"'reset_mask' must be bool of shape ({self.num_envs},), some of it True")
         if "scenario" in options or ("config" in options and not mask.all()):
             raise ConfigError(f"a batch takes no 'scenario', and no 'config' with a 'reset_mask'; {ALONE}")
-        if seed is None or isinstance(seed, int | np.integer):
-            seeds = [None if seed is None else int(seed) + row for row in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"{self.num_envs} seeds are needed, not a list of length={len(seeds)}")
+        seeds = seeds_of(self, seed)
         for row in np.flatnonzero(mask).tolist():
             self._begin(row, self._reset_single(row, seeds[row], options))
         first, self._law = self._law is None, self._made_law()
@@ -150,7 +146,7 @@ class ReplicaVectorEnv(VectorEnv):
         """
         if self._law is None:
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions, numbers = self._read(np.asarray(actions))
+        actions, numbers = self._read(actions_of(self, actions))
         if self.autoreset_mode is AutoresetMode.DISABLED:
             assert not self._over.any(), "episodes are over: reset them (options={'reset_mask': ...})"
         elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -289,21 +285,11 @@ class ReplicaVectorEnv(VectorEnv):
             self._batch = kernels.expecting(self._batch, row, car)
 
     def _read(self, actions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
-        """Actions, and their numbers for the kernels; what they mean for egos that are steered is written down.
-
-        Raises:
-            ValueError: not one action for each environment.
-        """
+        """Actions, and their numbers for the kernels; what they mean for egos that are steered is written down."""
         kind = self._single._action_type
-        is_discrete = isinstance(self.single_action_space, gym.spaces.Discrete)
-        if actions.shape != self.action_space.shape or (
-            is_discrete
-            and not (np.issubdtype(actions.dtype, np.integer) and self.action_space.contains(actions))
-        ):
-            raise ValueError(f"actions must be {self.num_envs} of {self.single_action_space}, not {actions}")
         if isinstance(kind, ContinuousAction):
             self._controls[:, 0], self._controls[:, 1] = kind.controls(kind.numbers(actions))
-        if is_discrete:
+        if isinstance(self.single_action_space, gym.spaces.Discrete):
             actions = actions.astype(np.int64)
             return actions, actions
         # the roundabout is paid for actions that equal 0 or 2, as `EgoState.action` may with one axis

@@ -11,6 +11,7 @@ import math
 from functools import lru_cache
 
 from sumo_env.actions import ego_route, follow_road
+from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.scene import RED, YELLOW, Light
 from sumo_env.simulator import EgoCommand
@@ -42,12 +43,12 @@ class Controls:
     def command(self, speed: bool, lanes: bool) -> None:
         """From now on the speed, the lanes, both or neither are commanded."""
         if speed != self.speed:
-            self._session.set_modes(self._name, speed_mode=ALL_CHECKS_OFF if speed else self._modes[0])
+            self._session.vehicle.setSpeedMode(self._name, ALL_CHECKS_OFF if speed else self._modes[0])
             if not speed:
-                self._session.set_speed(self._name, -1.0)
+                self._session.vehicle.setSpeed(self._name, -1.0)
         if lanes != self.lanes:
             mode = COMMANDED_LANE_CHANGES if lanes else self._modes[1]
-            self._session.set_modes(self._name, lane_change_mode=mode)
+            self._session.vehicle.setLaneChangeMode(self._name, mode)
             self._is_changing = lanes
         self.speed, self.lanes = speed, lanes
 
@@ -59,6 +60,8 @@ class Controls:
 
 class Ego:
     """The ego during one episode."""
+
+    ended = ""  # its way does not end
 
     def __init__(self, session: Session, scenario: Scenario, network: Network, spec: VehicleSpec) -> None:
         """spec: the ego among the scenario's learning cars."""
@@ -80,13 +83,13 @@ class Ego:
         self.target_speed = self.speed if speed is None else speed
         self.target_lane = self.target_lane if lane is None else lane
 
-    def drive(self, x: float, y: float, dt: float) -> float:
-        """Command the next `dt` [s] from the centre (x, y) [m]; returns the distance that will be covered [m].
+    def drive(self, here: State, dt: float) -> float:
+        """Command the next `dt` [s]; returns the distance that will be covered [m].
 
         Where SUMO drives, `settle` returns the distance.
         """
         session = self._session
-        self.target_lane = follow_road(self._road, self.target_lane, self._route, x, y)
+        self.target_lane = follow_road(self._road, self.target_lane, self._route, *here[:2])
         if self.crashed:
             self.controls.command(True, True)
             self.speed, distance = coast(self.speed, dt)
@@ -99,22 +102,22 @@ class Ego:
                 allowed = speed_before(session.next_light(self._name), before, dt)
                 if allowed < self.speed:
                     self.speed, distance = allowed, (before + allowed) / 2.0 * dt
-        lane = session.lane_of(self._name)
+        lane = session.vehicle.getLaneID(self._name)
         if lane != self._lane:
             self._follow_fork(self._lane, lane)
             self._lane, self._stretch = lane, self._network.stretch(lane)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         if self.controls.speed:
-            session.set_speed(self._name, distance / session.step_length * self._stretch)
+            session.vehicle.setSpeed(self._name, distance / session.step_length * self._stretch)
         if not self.crashed:
             self._change_lane(lane)
         return distance
 
-    def settle(self) -> float:
+    def settle(self, dt: float) -> float:
         """After a step in which SUMO has chosen the speed; returns the distance that was covered [m]."""
         if self.controls.speed:
             return 0.0
-        self.speed = self._session.speed_of(self._name) / self._stretch
+        self.speed = self._session.vehicle.getSpeed(self._name) / self._stretch
         return self.speed * self._session.step_length
 
     def _follow_fork(self, before: str, lane: str) -> None:
@@ -137,9 +140,9 @@ class Ego:
             return
         count = self._road.count(start, end)
         if self._road.oncoming:  # the lane of oncoming traffic is SUMO's opposite lane
-            self._session.change_lane_relative(self._name, 1 if target == 0 else -1)
+            self._session.vehicle.changeLaneRelative(self._name, 1 if target == 0 else -1, 0.0)
         elif count == self._road.count(*self.target_lane[:2]):
-            self._session.change_lane(self._name, self._network.sumo_index((start, end, target)))
+            self._session.vehicle.changeLane(self._name, self._network.sumo_index((start, end, target)), 0.0)
 
 
 @lru_cache(maxsize=32)

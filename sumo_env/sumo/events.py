@@ -22,7 +22,7 @@ from sumo_env.sumo.session import (
     REGULAR,
     Session,
 )
-from sumo_env.traffic.drivers import Calibration, Deviation
+from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import SWERVE_TIME, RiskEvent, free_way, has_room
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
@@ -41,25 +41,25 @@ def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
     return speed_mode, lane_change_mode
 
 
-def deviate(session: Session, name: str, deviation: Deviation) -> None:
-    """Multiply the parameters of a vehicle's own type by the factors of a risky driver."""
-    for key, factor in (
-        ("Accel", deviation.accel),
-        ("EmergencyDecel", deviation.emergency_decel),
-        ("ApparentDecel", deviation.decel),
-        ("Decel", deviation.decel),
-        ("Tau", deviation.tau),
-        ("MinGap", deviation.min_gap),
-    ):
-        if factor != 1.0:  # each setter copies the vehicle's type
-            session.ask(f"set{key}", name, factor * session.ask(f"get{key}", name))
-    for key, factor in (("lcAssertive", deviation.assertive), ("lcSpeedGain", deviation.speed_gain)):
+# The parameters of drivers in SUMO's words.
+IN_SUMO = {"accel": ("Accel",), "emergency_decel": ("EmergencyDecel",), "decel": ("ApparentDecel", "Decel")}
+IN_SUMO |= {"tau": ("Tau",), "min_gap": ("MinGap",)}
+
+
+def deviate(session: Session, name: str, factors: Mapping[str, float]) -> None:
+    """Multiply the parameters of a vehicle's own type by the factors of a risky driver (`drivers.deviation`)."""
+    of = session.vehicle
+    for parameter, keys in IN_SUMO.items():
+        factor = factors.get(parameter, 1.0)
+        for key in keys if factor != 1.0 else ():  # each setter copies the vehicle's type
+            getattr(of, f"set{key}")(name, factor * getattr(of, f"get{key}")(name))
+    for key, factor in (("lcAssertive", factors["assertive"]), ("lcSpeedGain", factors["speed_gain"])):
         parameter = f"laneChangeModel.{key}"
         with suppress(ValueError, *session.errors):  # there are models of lane changes without it
-            present = float(session.ask("getParameter", name, parameter))
-            session.ask("setParameter", name, parameter, f"{factor * present:.6g}")
-    if not deviation.gives_way:
-        session.set_modes(name, NO_RULES)
+            present = float(of.getParameter(name, parameter))
+            of.setParameter(name, parameter, f"{factor * present:.6g}")
+    if not factors["gives_way"]:
+        of.setSpeedMode(name, NO_RULES)
 
 
 @dataclass
@@ -137,7 +137,7 @@ class Events:
     def _cut_in(self, event: RiskEvent, time: float) -> None:
         """Change to a neighbouring lane at once, where there is one with room."""
         name, session = event.vehicle, self._session
-        lane = session.lane_of(name)
+        lane = session.vehicle.getLaneID(name)
         if lane not in self._network.indices or lane.startswith(":") or session.changes_lane(name):
             return
         start, end, place = self._network.indices[lane]
@@ -150,18 +150,18 @@ class Events:
                 continue
             if self._asks_for_markings and not self._is_open(name, lane, beside):
                 continue
-            session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES)
+            session.vehicle.setLaneChangeMode(name, COMMANDED_LANE_CHANGES)
             if oncoming:
-                session.change_lane_relative(name, 1)
+                session.vehicle.changeLaneRelative(name, 1, 0.0)
             else:
-                session.change_lane(name, self._network.sumo_index(beside))
+                session.vehicle.changeLane(name, self._network.sumo_index(beside), 0.0)
             self._cut_ins[name] = time + (SWERVE_TIME if oncoming else CUT_IN_TIME)
             return
 
     def _is_open(self, name: str, lane: str, beside: LaneIndex) -> bool:
         """Whether markings and classes let a vehicle change to the lane beside, without which SUMO does not."""
         there = self._network.lanes[beside].id
-        return self._session.may_change(lane, there, self._session.class_of(name))
+        return self._session.may_change(lane, there, self._session.vehicle.getVehicleClass(name))
 
     def _has_room(self, name: str, lane: LaneIndex) -> bool:
         states = self._session.read(self._modes)
@@ -172,9 +172,9 @@ class Events:
 
     def _end_cut_in(self, name: str) -> None:
         if self._network.road.oncoming:
-            self._session.change_lane_relative(name, -1)
+            self._session.vehicle.changeLaneRelative(name, -1, 0.0)
         else:
-            self._session.set_modes(name, lane_change_mode=self._modes[name][1])
+            self._session.vehicle.setLaneChangeMode(name, self._modes[name][1])
 
     # -- braking and surges --------------------------------------------------------------------------------
 
@@ -185,16 +185,16 @@ class Events:
         ended = time >= push.end - EARLY
         if ended or not self._may_push(event):
             if push.commanded:
-                session.set_modes(name, speed_mode=self._modes[name][0])
-                session.set_speed(name, -1.0)
+                session.vehicle.setSpeedMode(name, self._modes[name][0])
+                session.vehicle.setSpeed(name, -1.0)
                 push.commanded = False
             if ended:
                 del self._pushes[name]
             return
         if not push.commanded:
-            session.set_modes(name, speed_mode=HARD_BRAKING if event.kind == "brake" else ALL_CHECKS_OFF)
+            session.vehicle.setSpeedMode(name, HARD_BRAKING if event.kind == "brake" else ALL_CHECKS_OFF)
             push.commanded = True
-        session.set_speed(name, max(session.speed_of(name) + event.accel * dt, 0.0))
+        session.vehicle.setSpeed(name, max(session.vehicle.getSpeed(name) + event.accel * dt, 0.0))
 
     def _may_push(self, event: RiskEvent) -> bool:
         """A surge pauses while somebody is near straight ahead; a brake never does."""

@@ -10,22 +10,21 @@ import tempfile
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from sumo_env.scene import NO_LIGHT, Scene
-from sumo_env.simulator import Commands, SimulatorError, Step
+from sumo_env.scene import NO_LIGHT, Light, Place, Scene
+from sumo_env.simulator import Commands, SimulatorError
+from sumo_env.sumo.car import Car
 from sumo_env.sumo.events import deviate
 from sumo_env.sumo.options import OUTPUT_DIR
 from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.settings import file_settings
-from sumo_env.sumo.world import SumoSimulator
-from sumo_env.traffic.drivers import Deviation
+from sumo_env.sumo.world import GONE, SumoSimulator
+from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events
 from sumo_env.traffic.scenario import Scenario, SumoTraffic
 
-GONE = ("arrived", "removed")  # how a car's way may have ended off the road
 # Classes whose drivers risk changes: those of roads, but bicycles.
 RISKY_CLASSES = {
     *("passenger", "private", "taxi", "hov", "evehicle", "bus", "coach", "delivery", "truck", "trailer"),
@@ -123,16 +122,16 @@ class FileSimulator(SumoSimulator):
 
     def _why_not_here(self, traffic: SumoTraffic) -> str:
         session, name = self._session, self._name
-        after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.time():g} s"
+        after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.simulation.getTime():g} s"
         if not self._is_alone:
             cars = (
                 f"of type {traffic.car_type!r}" if traffic.car_type else f"{name!r}, {self._scenario.further}"
             )
             return f"no learning car ({cars}) has departed within {after}"
-        if name in session.waiting():
+        if name in session.simulation.getPendingVehicles():
             return (
                 f"SUMO could not insert the ego {name!r} within {after}: there is no room for it where it departs, or "
-                f"its edge has no lane for vehicles of class {session.class_of(name)!r}"
+                f"its edge has no lane for vehicles of class {session.vehicle.getVehicleClass(name)!r}"
             )
         return (
             f"the ego {name!r} has not departed within {after}: it departs later ('wait', 'begin'), SUMO has refused "
@@ -141,39 +140,22 @@ class FileSimulator(SumoSimulator):
 
     # -- a policy step -------------------------------------------------------------------------------------
 
-    def _step(self, commands: Commands, trace: bool) -> Step:
-        self._session.check()
+    def _come_and_go(self, commands: Commands) -> None:
+        """Cars that are at their end, and have no command, are SUMO's from now on."""
         for name in [name for name, car in self._cars.items() if car.ego.ended and name not in commands]:
             car = self._cars.pop(name)
             if name in self._modes:
-                car.ego.controls.command(False, False)  # SUMO's from now on
-        self._obey(commands)
-        scenes = []
-        for _ in range(self._substeps):
-            driving = [car for car in self._cars.values() if not car.ego.ended]
-            if not driving:
-                break
-            self._events.act(self._time, self._dt)
-            for car in driving:
-                car.ego.drive(self._dt)
-            reported = self._advance()
-            for car in driving:
-                if car.ego.ended not in GONE:
-                    car.distance += car.ego.settle(self._dt)
-                    if (crash := car.look(self._time, self._dt, reported)) is not None:
-                        self._hit(car, crash)
-            self._take_wheels()
-            if trace:
-                scenes.append(self._read())
-        scene = scenes[-1] if scenes else self._read()
-        met = {name: car.met() for name, car in self._cars.items()}
-        return Step(scene, met, (tuple(scenes) or (scene,)) if trace else ())
+                car.ego.controls.command(False, False)
+
+    def _note(self, reported: Sequence[tuple[str, str]]) -> None:
+        """Crashes of others change nothing, as with ``sumo``; learning cars may have departed."""
+        self._take_wheels()
 
     def _advance(self) -> Sequence[tuple[str, str]]:
         """One step of SUMO; returns the pairs of vehicles that it reports in collision."""
         session = self._session
         reported = self._step_sumo()
-        for name in session.departed():
+        for name in session.simulation.getDepartedIDList():
             self._modes[name] = REGULAR, OWN_LANE_CHANGES
             if self._is_learning(name):
                 self._came.append(name)
@@ -187,7 +169,7 @@ class FileSimulator(SumoSimulator):
                 continue
             if name not in self._modes:
                 car.ego.ended = "arrived" if car.ego.is_near_its_end(self._dt) else "removed"
-            elif name in session.teleported():
+            elif name in session.simulation.getStartingTeleportIDList():
                 car.ego.ended = "removed"
         return reported
 
@@ -195,11 +177,11 @@ class FileSimulator(SumoSimulator):
 
     def _make_risky(self, name: str) -> None:
         """What the dose does to a vehicle that has come: its parameters, and its events once the episode has begun."""
-        if self._session.class_of(name) not in RISKY_CLASSES:
+        if self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
             return
         model = self._models.get(self._session.type_of(name), "")
-        drawn = Deviation.draw(self._traffic.ranges, self._scenario.risk, self._scenario.seed, name)
-        deviate(self._session, name, drawn.of_model(model))
+        drawn = self._traffic.ranges, self._scenario.risk, self._scenario.seed, name, model
+        deviate(self._session, name, deviation(*drawn))
         if self._time >= 0.0:
             self._plan(name, self._time)
 
@@ -209,7 +191,7 @@ class FileSimulator(SumoSimulator):
     def _drawn(self, name: str, start: float) -> tuple[RiskEvent, ...]:
         """The events of a vehicle from `start` [s] on; its random stream has its own name."""
         scenario, traffic = self._scenario, self._traffic
-        if name in self._came or self._session.class_of(name) not in RISKY_CLASSES:
+        if name in self._came or self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
             return ()
         seed = scenario.seed if traffic.imagined is None else traffic.imagined
         drawn = draw_events(
@@ -225,25 +207,9 @@ class FileSimulator(SumoSimulator):
 
     # -- reading -------------------------------------------------------------------------------------------
 
-    def _read(self) -> Scene:
-        """The scene by SUMO's vehicles, the learning cars first."""
-        session, cars = self._session, self._cars
-        others = [name for name in session.vehicles() if name not in cars]
-        states = {name: car.around.ego for name, car in cars.items()} | session.read(others)
-        ids = tuple(states)
-        x, y, speed, heading = map(np.array, zip(*states.values(), strict=True))
-        crashed = np.array([name in self._crashed for name in ids], np.bool_)
-        crashed[: len(cars)] = [car.ego.crashed for car in cars.values()]
-        sizes = {one: size for one, size in session.sizes.items() if one in states}
-        acting, waiting = self._events.acting, len(session.waiting())
-        seen = [
-            (NO_LIGHT if car.ego.ended in GONE else session.next_light(name), car.ego.place(waiting))
-            for name, car in cars.items()
-        ]
-        return Scene(
-            *(ids, x, y, speed, heading, crashed, round(self._time, 6), acting, sizes),
-            light=seen[0][0] if seen else NO_LIGHT,
-            place=seen[0][1] if seen else None,
-            cars=len(cars),
-            further=dict(zip(ids[1:], seen[1:], strict=False)),
-        )
+    def _others(self) -> list[str]:
+        return [name for name in self._session.vehicles() if name not in self._cars]
+
+    def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:
+        light = NO_LIGHT if car.ego.ended in GONE else self._session.next_light(name)
+        return light, car.ego.place(len(self._session.simulation.getPendingVehicles()))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from math import inf
 
+from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import NOBODY, Neighbour, Place
@@ -38,8 +39,8 @@ class RouteEgo:
         """measures_energy: see `SumoTraffic`."""
         self._session, self._network, self._name = session, network, name
         self._obeys_lights, self._measures_energy = obeys_lights, measures_energy
-        self._class = session.class_of(name)
-        self.speed, self.crashed = session.speed_of(name), False
+        self._class = session.vehicle.getVehicleClass(name)
+        self.speed, self.crashed = session.vehicle.getSpeed(name), False
         self.ended, self.red_light = "", False
         self._fuel = self._electricity = 0.0  # in this policy step
         self.controls = Controls(session, name, (REGULAR, OWN_LANE_CHANGES), False, False)
@@ -70,15 +71,16 @@ class RouteEgo:
         self.red_light = False
         self.controls.command(self._target_speed is not None, self._target_lane is not None)
 
-    def drive(self, dt: float) -> None:
-        """Command the next step of `dt` [s]."""
+    def drive(self, here: State, dt: float) -> float:
+        """Command the next step of `dt` [s]; `settle` says how far it gets."""
         session, name, before = self._session, self._name, self.speed
         self._signal = session.next_signal(name)
         if self.crashed:
             self.controls.command(True, True)
-            session.set_speed(name, coast(before, dt)[0])
+            session.vehicle.setSpeed(name, coast(before, dt)[0])
         elif self._target_speed is not None:
-            accel, decel, hardest = session.limits_of(name)
+            of = session.vehicle
+            accel, decel, hardest = of.getAccel(name), of.getDecel(name), of.getEmergencyDecel(name)
             wanted = driven(before, self._target_speed, self._acceleration, dt)[0]
             speed = min(max(wanted, before - decel * dt, 0.0), before + accel * dt)
             if self._obeys_lights:
@@ -86,9 +88,10 @@ class RouteEgo:
                 speed = min(speed, max(allowed, before - hardest * dt, 0.0))
             if speed * dt > self.free:
                 self.ended = "missed turn"
-            session.set_speed(name, speed)
+            session.vehicle.setSpeed(name, speed)
         if not self.crashed:
             self._change_lane()
+        return 0.0
 
     def _change_lane(self) -> None:
         """Ask for the target lane; SUMO changes there within the step, or in the time that its options say."""
@@ -98,22 +101,23 @@ class RouteEgo:
         if target is None or target == self._index or target not in self._sides:
             return
         if not self._session.changes_lane(self._name):
-            self._session.change_lane(self._name, self._network.sumo_index(target))
+            self._session.vehicle.changeLane(self._name, self._network.sumo_index(target), 0.0)
 
     def settle(self, dt: float) -> float:
         """After the step: what SUMO has made of the commands; returns the distance that was driven [m]."""
         session, before = self._session, self._lane
-        self.speed = session.speed_of(self._name)
+        self.speed = session.vehicle.getSpeed(self._name)
         if self._measures_energy:
-            fuel, electricity = session.consumption_of(self._name)
-            self._fuel += fuel * dt
-            self._electricity += electricity * dt
+            self._fuel += session.vehicle.getFuelConsumption(self._name) * dt
+            self._electricity += session.vehicle.getElectricityConsumption(self._name) * dt
         self.look()
         if self._signal and self._lane != before and not before.startswith(":"):
             signal, connection, distance = self._signal
             edge, reached = before.rpartition("_")[0], distance <= self.speed * dt + REACHED
-            if self._lane.rpartition("_")[0] != edge and reached and session.shows_red(signal, connection):
-                self.red_light = True
+            if self._lane.rpartition("_")[0] != edge and reached:
+                # a sign that lets vehicles turn after a stop does not forbid to drive
+                state = session.sumo.trafficlight.getRedYellowGreenState(signal)
+                self.red_light = self.red_light or state[connection] in "ru"
         if not self._may_turn and self._target_lane is not None:
             self.ended = "missed turn"
         return self.speed * dt
@@ -121,7 +125,7 @@ class RouteEgo:
     def look(self) -> None:
         """Read where the ego is; what belongs to a lane is read when it comes there."""
         session = self._session
-        lane = session.lane_of(self._name)
+        lane = session.vehicle.getLaneID(self._name)
         if lane == self._lane or not lane:
             return
         self._lane, self.ahead = lane, session.route_ahead(self._name)
@@ -177,12 +181,12 @@ class RouteEgo:
     @property
     def free(self) -> float:
         """How far the ego gets without a lane change [m]; inf where its lane leads on."""
-        return inf if self._leads_on else self._length - self._session.position_of(self._name)
+        return inf if self._leads_on else self._length - self._session.vehicle.getLanePosition(self._name)
 
     def _remaining(self) -> float:
         """From the front of the ego to the end of its route [m], without the ways through junctions."""
         here, *rest = (self._network.sumo_lanes[f"{edge}_0"].length for edge in self.ahead)
-        edge, driven = self._lane.rpartition("_")[0], self._session.position_of(self._name)
+        edge, driven = self._lane.rpartition("_")[0], self._session.vehicle.getLanePosition(self._name)
         present = 0.0 if edge.startswith(":") else here - driven
         if not edge.startswith(":") and edge != self.ahead[0]:  # on the lane of oncoming traffic
             present = driven
@@ -203,7 +207,7 @@ class RouteEgo:
         """As a scene has it."""
         left, right = (side is not None for side in self._sides)
         arrived, gone = self.ended == "arrived", self.ended in ("arrived", "removed")
-        driven = 0.0 if gone else self._session.position_of(self._name)
+        driven = 0.0 if gone else self._session.vehicle.getLanePosition(self._name)
         beside = [max(reach - driven, 0.0) for reach in self._reaches]
         if self.ended == "removed":
             progress = 0.0

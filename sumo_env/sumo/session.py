@@ -7,18 +7,15 @@ everything above uses highway-env's (y down, centre, radians).
 from __future__ import annotations
 
 import contextlib
-import operator
 import tempfile
 from collections.abc import Iterable, Sequence
 from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
-from typing import Any
 
 from sumo_env.contacts.rectangles import Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
-from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.settings import Settings
 from sumo_env.traffic.sumo_files import plain_path, temporary_folder
 
@@ -43,12 +40,16 @@ VIEW, SEEN = "View #0", 100.0  # in SUMO's own window, and how much of the road 
 
 
 class Session:
-    """One simulation. `load` first; every method may raise one of `errors`."""
+    """One simulation. `load` first; every method may raise one of `errors`.
+
+    Where SUMO has a function for it, others call that: `sumo` is the module, `vehicle` and `simulation` are its parts.
+    """
 
     def __init__(self, engine: Engine = LIBSUMO) -> None:
-        self._engine, self._sumo, self.errors = engine, engine.module, (*engine.errors, *engine.gone)
+        self._engine, self.errors = engine, (*engine.errors, *engine.gone)
         self.gone = engine.gone  # errors that say that the user has closed SUMO's own window
-        self._vehicle, self._simulation = self._sumo.vehicle, self._sumo.simulation
+        self.sumo = engine.module
+        self.vehicle, self.simulation = self.sumo.vehicle, self.sumo.simulation
         self.step_length = 0.0  # [s] as SUMO counts time, in whole milliseconds: 0.067 at 15 Hz
         self.has_lights = False  # whether the network has traffic lights
         # length and width [m] of the vehicles on the road that do not have highway-env's size
@@ -74,18 +75,18 @@ class Session:
                 added = (str(written), values.get("additional-files", ""))
                 values["additional-files"] = ",".join(filter(None, added))
             options = [f"--{name}={value}" for name, value in values.items()]
-            if self._sumo.isLoaded():
-                self._sumo.load(options)
+            if self.sumo.isLoaded():
+                self.sumo.load(options)
             else:
                 self._engine.start([self._engine.program, *options])
-            self._begin, self._steps = float(self._simulation.getTime()), 0  # once all is read
-        if self._sumo.hasGUI():
-            self._sumo.gui.setSchema(VIEW, "real world")
-            self._sumo.gui.setBoundary(VIEW, 0.0, 0.0, SEEN, SEEN)
+            self._begin, self._steps = float(self.simulation.getTime()), 0  # once all is read
+        if self.sumo.hasGUI():
+            self.sumo.gui.setSchema(VIEW, "real world")
+            self.sumo.gui.setBoundary(VIEW, 0.0, 0.0, SEEN, SEEN)
         self._limits.clear()
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
-        self.has_lights = self._sumo.trafficlight.getIDCount() > 0
+        self.has_lights = self.sumo.trafficlight.getIDCount() > 0
 
     def clear(self, settings: Settings) -> bool:
         """Empty the road where these settings are loaded; the rest goes on. False where they are not.
@@ -97,13 +98,13 @@ class Session:
             return False
         self._known.clear()
         self.sizes.clear()
-        for name in self._vehicle.getIDList():
-            self._vehicle.remove(name)
+        for name in self.vehicle.getIDList():
+            self.vehicle.remove(name)
         return True
 
     def _clock_is_ours(self) -> bool:
         """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
-        return abs(self._simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
+        return abs(self.simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
 
     def forget(self) -> None:
         """Load again at the next `load`, whatever is loaded (somebody else may have changed it)."""
@@ -112,16 +113,16 @@ class Session:
     def close(self) -> None:
         """End the simulation."""
         self._settings = None
-        if self._sumo.isLoaded():
+        if self.sumo.isLoaded():
             with contextlib.suppress(*self.errors):  # SUMO's window may be closed already
-                self._sumo.close()
+                self.sumo.close()
 
     def follow(self, name: str, is_first: bool) -> None:
         """In SUMO's own window: the colour of a learning car, and the view goes with the first one."""
-        if self._sumo.hasGUI():
-            self._vehicle.setColor(name, EGO_COLOUR if is_first else FURTHER_COLOUR)
+        if self.sumo.hasGUI():
+            self.vehicle.setColor(name, EGO_COLOUR if is_first else FURTHER_COLOUR)
             if is_first:
-                self._sumo.gui.trackVehicle(VIEW, name)
+                self.sumo.gui.trackVehicle(VIEW, name)
 
     # -- vehicles ------------------------------------------------------------------------------------------
 
@@ -146,23 +147,19 @@ class Session:
             self.sizes.pop(name, None)
         else:
             self.sizes[name] = size
-        self._vehicle.add(name, route, vehicle_type, departSpeed="0")
-        self._vehicle.moveTo(name, lane, position)
-        self._vehicle.setPreviousSpeed(name, speed)
+        self.vehicle.add(name, route, vehicle_type, departSpeed="0")
+        self.vehicle.moveTo(name, lane, position)
+        self.vehicle.setPreviousSpeed(name, speed)
         # SUMO asks every vehicle whose mode was ever set for commands at every step, so the defaults are not set
         if modes[0] != REGULAR:
-            self._vehicle.setSpeedMode(name, modes[0])
+            self.vehicle.setSpeedMode(name, modes[0])
         if modes[1] != OWN_LANE_CHANGES:
-            self._vehicle.setLaneChangeMode(name, modes[1])
+            self.vehicle.setLaneChangeMode(name, modes[1])
         limit = self._limits.get(lane)
         if limit is None:
-            limit = self._limits[lane] = self._sumo.lane.getMaxSpeed(lane)
+            limit = self._limits[lane] = self.sumo.lane.getMaxSpeed(lane)
         # a factor on the lane's limit: unlike setMaxSpeed it does not copy the vehicle's type
-        self._vehicle.setSpeedFactor(name, max(desired_speed, 0.01) / limit)
-
-    def remove(self, name: str) -> None:
-        """Take a vehicle off the road."""
-        self._vehicle.remove(name)
+        self.vehicle.setSpeedFactor(name, max(desired_speed, 0.01) / limit)
 
     def send(self, name: str, edges: Sequence[str], is_trip: bool, vehicle_type: str, speed: str) -> bool:
         """Let SUMO insert a vehicle as soon as it can; False where there is no route.
@@ -175,141 +172,66 @@ class Session:
             speed: at the departure [m/s], or SUMO's word for one.
         """
         route, own_type = f"route of {name}", f"{vehicle_type} of {name}"
-        self._sumo.vehicletype.copy(vehicle_type, own_type)
-        self._sumo.vehicletype.setSpeedDeviation(own_type, 0.0)
+        self.sumo.vehicletype.copy(vehicle_type, own_type)
+        self.sumo.vehicletype.setSpeedDeviation(own_type, 0.0)
         if is_trip:
-            edges = self._simulation.findRoute(edges[0], edges[-1], own_type).edges
+            edges = self.simulation.findRoute(edges[0], edges[-1], own_type).edges
             if not edges:
                 return False
-        self._sumo.route.add(route, edges)
-        self._vehicle.add(name, route, own_type, departLane="best", departPos="base", departSpeed=speed)
+        self.sumo.route.add(route, edges)
+        self.vehicle.add(name, route, own_type, departLane="best", departPos="base", departSpeed=speed)
         return True
-
-    def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
-        """A function of libsumo by its name, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
-        return plain(operator.attrgetter(path)(self._sumo)(*arguments, **named))
-
-    def ask(self, function: str, *arguments: Any) -> Any:
-        """A function of ``libsumo.vehicle`` by its name, such as ``getSpeed``."""
-        return getattr(self._vehicle, function)(*arguments)
-
-    def set_speed(self, name: str, speed: float) -> None:
-        """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""
-        self._vehicle.setSpeed(name, speed)
-
-    def set_modes(
-        self, name: str, speed_mode: int | None = None, lane_change_mode: int | None = None
-    ) -> None:
-        """Which checks apply to commands, and whether the lane-change model decides: the constants of this module."""
-        if speed_mode is not None:
-            self._vehicle.setSpeedMode(name, speed_mode)
-        if lane_change_mode is not None:
-            self._vehicle.setLaneChangeMode(name, lane_change_mode)
-
-    def change_lane(self, name: str, index: int) -> None:
-        """Begin a change to the lane of this SUMO index (0 is the rightmost)."""
-        self._vehicle.changeLane(name, index, 0.0)
-
-    def change_lane_relative(self, name: str, step: int) -> None:
-        """Begin a change by `step` lanes, +1 to the left; also onto the opposite lane of a two-way road."""
-        self._vehicle.changeLaneRelative(name, step, 0.0)
 
     # -- reading -------------------------------------------------------------------------------------------
 
-    def lane_of(self, name: str) -> str:
-        """Id of the lane that the front bumper is on; ids of lanes inside junctions begin with a colon."""
-        lane: str = self._vehicle.getLaneID(name)
-        return lane
-
     def spot(self, name: str) -> Spot:
         """The place of a vehicle on the network."""
-        height = float(self._vehicle.getPosition3D(name)[2])
-        return Spot(self._vehicle.getLaneID(name), float(self._vehicle.getLanePosition(name)), height)
+        height = float(self.vehicle.getPosition3D(name)[2])
+        return Spot(self.vehicle.getLaneID(name), float(self.vehicle.getLanePosition(name)), height)
 
     def changes_lane(self, name: str) -> bool:
         """Whether a lane change of a vehicle is running: it is not in the middle of its lane."""
-        return abs(float(self._vehicle.getLateralLanePosition(name))) >= CENTRED
-
-    def speed_of(self, name: str) -> float:
-        """Speed of a vehicle [m/s]."""
-        return float(self._vehicle.getSpeed(name))
-
-    def limits_of(self, name: str) -> tuple[float, float, float]:
-        """What a vehicle can do: acceleration, braking, hardest braking [m/s2]."""
-        of = self._vehicle
-        return of.getAccel(name), of.getDecel(name), of.getEmergencyDecel(name)
-
-    def class_of(self, name: str) -> str:
-        """SUMO's class of a vehicle, such as passenger."""
-        return str(self._vehicle.getVehicleClass(name))
+        return abs(float(self.vehicle.getLateralLanePosition(name))) >= CENTRED
 
     def type_of(self, name: str) -> str:
         """The vehicle type that a vehicle came with."""
-        return str(self._vehicle.getTypeID(name)).partition("@")[0]
-
-    def position_of(self, name: str) -> float:
-        """Position of the front bumper on its lane [m]."""
-        return float(self._vehicle.getLanePosition(name))
+        return str(self.vehicle.getTypeID(name)).partition("@")[0]
 
     def route_ahead(self, name: str) -> tuple[str, ...]:
         """Edges that are left of a vehicle's route, the present one first."""
-        return tuple(self._vehicle.getRoute(name)[max(self._vehicle.getRouteIndex(name), 0) :])
+        return tuple(self.vehicle.getRoute(name)[max(self.vehicle.getRouteIndex(name), 0) :])
 
     def lanes_ahead(self, name: str) -> list[tuple[str, float, bool]]:
         """Lanes of a vehicle's edge from SUMO's lane 0 on: id, length [m], whether its route goes on from there."""
-        best = self._vehicle.getBestLanes(name)
+        best = self.vehicle.getBestLanes(name)
         return [
-            (lane, float(self._sumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best
+            (lane, float(self.sumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best
         ]
 
     def may_change(self, lane: str, beside: str, vehicles: str) -> bool:
         """Whether a class of vehicles may change between two lanes that lie side by side."""
         side = 1 if int(beside.rpartition("_")[2]) > int(lane.rpartition("_")[2]) else -1
-        allowed = self._sumo.lane.getAllowed(beside)
-        return (not allowed or vehicles in allowed) and vehicles in self._sumo.lane.getChangePermissions(
+        allowed = self.sumo.lane.getAllowed(beside)
+        return (not allowed or vehicles in allowed) and vehicles in self.sumo.lane.getChangePermissions(
             lane, side
         )
 
     def next_signal(self, name: str) -> tuple[str, int, float] | None:
         """The next traffic light on a vehicle's way: its id, the number of the connection, distance [m]."""
-        ahead = self._vehicle.getNextTLS(name) if self.has_lights else ()
+        ahead = self.vehicle.getNextTLS(name) if self.has_lights else ()
         return (str(ahead[0][0]), int(ahead[0][1]), float(ahead[0][2])) if ahead else None
-
-    def shows_red(self, signal: str, connection: int) -> bool:
-        """Whether a traffic light forbids to drive; the sign that lets vehicles turn after a stop does not."""
-        return self._sumo.trafficlight.getRedYellowGreenState(signal)[connection] in "ru"
-
-    def departed(self) -> tuple[str, ...]:
-        """Vehicles that SUMO has inserted in the last step."""
-        return tuple(self._simulation.getDepartedIDList())
-
-    def teleported(self) -> tuple[str, ...]:
-        """Vehicles that SUMO has taken off the road in the last step, to put them on it further on."""
-        return tuple(self._simulation.getStartingTeleportIDList())
-
-    def waiting(self) -> tuple[str, ...]:
-        """Vehicles that wait until SUMO can insert them."""
-        return tuple(self._simulation.getPendingVehicles())
-
-    def time(self) -> float:
-        """SUMO's time [s]."""
-        return float(self._simulation.getTime())
 
     def next_light(self, name: str) -> Light:
         """The next traffic light on a vehicle's way."""
-        for signal, _, distance, letter in self._vehicle.getNextTLS(name) if self.has_lights else ():
+        for signal, _, distance, letter in self.vehicle.getNextTLS(name) if self.has_lights else ():
             if letter in LIGHTS:
-                left = self._sumo.trafficlight.getNextSwitch(signal) - self._simulation.getTime()
+                left = self.sumo.trafficlight.getNextSwitch(signal) - self.simulation.getTime()
                 return Light(LIGHTS[letter], float(distance), max(float(left), 0.0))
         return NO_LIGHT
 
-    def consumption_of(self, name: str) -> tuple[float, float]:
-        """Fuel [mg/s] and electricity [Wh/s] that a vehicle consumed in the last step."""
-        return self._vehicle.getFuelConsumption(name), self._vehicle.getElectricityConsumption(name)
-
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""
-        names = self._vehicle.getIDList()
+        names = self.vehicle.getIDList()
         if self.changed or len(names) != len(self._known):
             self._meet(set(names))
         return names
@@ -317,7 +239,7 @@ class Session:
     def _meet(self, present: set[str]) -> None:
         """Ask for the sizes of vehicles that somebody else has added, and forget those that have left."""
         for name in present - self._known:
-            size = float(self._vehicle.getLength(name)), float(self._vehicle.getWidth(name))
+            size = float(self.vehicle.getLength(name)), float(self.vehicle.getWidth(name))
             if size != CAR_SIZE:
                 self.sizes[name] = size
         for name in self._known - present:
@@ -327,11 +249,11 @@ class Session:
     def check(self) -> None:
         """An error if somebody else has moved SUMO's clock."""
         if not self._clock_is_ours():
-            raise self._sumo.TraCIException("SUMO's time is not where this environment has left it")
+            raise self.sumo.TraCIException("SUMO's time is not where this environment has left it")
 
     def read(self, names: Iterable[str]) -> dict[str, State]:
         """States of these vehicles, in this order."""
-        position, angle, speed = self._vehicle.getPosition, self._vehicle.getAngle, self._vehicle.getSpeed
+        position, angle, speed = self.vehicle.getPosition, self.vehicle.getAngle, self.vehicle.getSpeed
         if not self.sizes:
             return {name: _state(position(name), angle(name), speed(name)) for name in names}
         return {name: _state(position(name), angle(name), speed(name), self.half(name)) for name in names}
@@ -354,7 +276,7 @@ class Session:
 
         Distances are those of the front bumpers.
         """
-        position, angle, speed = self._vehicle.getPosition, self._vehicle.getAngle, self._vehicle.getSpeed
+        position, angle, speed = self.vehicle.getPosition, self.vehicle.getAngle, self.vehicle.getSpeed
         own = position(name)
         x, y = own
         near, rest, sizes, reach = {}, [], self.sizes, radius * radius
@@ -373,11 +295,11 @@ class Session:
 
     def step(self) -> Sequence[tuple[str, str]]:
         """Advance by one step; returns the pairs of vehicles that SUMO reports in collision."""
-        self._sumo.simulationStep()
+        self.sumo.simulationStep()
         self._steps += 1
-        self.arrived = self._simulation.getArrivedIDList()
-        self.changed = bool(self.arrived or self._simulation.getDepartedNumber())
-        found = self._simulation.getCollisions()
+        self.arrived = self.simulation.getArrivedIDList()
+        self.changed = bool(self.arrived or self.simulation.getDepartedNumber())
+        found = self.simulation.getCollisions()
         return [(contact.collider, contact.victim) for contact in found] if found else ()
 
 

@@ -10,7 +10,6 @@ from collections.abc import Collection
 from itertools import chain, repeat
 from math import inf
 from operator import itemgetter
-from typing import Any
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
@@ -118,17 +117,18 @@ class Surroundings:
 
 def neighbours(session: Session, name: str) -> tuple[Neighbour, ...]:
     """Leader and follower of a vehicle in the lane on SUMO's left, in its own lane, and in that on the right."""
-    ask = session.ask
-    own = ask("getLeader", name, PERCEPTION_DISTANCE), ask("getFollower", name, PERCEPTION_DISTANCE)
+    of = session.vehicle
+    own = of.getLeader(name, PERCEPTION_DISTANCE), of.getFollower(name, PERCEPTION_DISTANCE)
+    leaders = of.getLeftLeaders(name), filter(None, own[:1]), of.getRightLeaders(name)
+    followers = of.getLeftFollowers(name), filter(None, own[1:]), of.getRightFollowers(name)
     around = []
-    for side in ("Left", "", "Right"):
-        for behind, others in enumerate(("Leaders", "Followers")):
-            found = ask(f"get{side}{others}", name) if side else filter(None, own[behind : behind + 1])
+    for side in zip(leaders, followers, strict=True):
+        for behind, found in enumerate(side):
             nearest = NOBODY
             for other, further in found:
                 if other:  # SUMO's gaps are those beyond the minGap of the vehicle behind
-                    gap = further + ask("getMinGap", other if behind else name)
-                    nearest = min(nearest, Neighbour(other, gap, session.speed_of(other)), key=itemgetter(1))
+                    gap = further + of.getMinGap(other if behind else name)
+                    nearest = min(nearest, Neighbour(other, gap, of.getSpeed(other)), key=itemgetter(1))
             around.append(nearest)
     return tuple(around)
 
@@ -139,28 +139,25 @@ def foe(session: Session, name: str) -> Neighbour:
     Its gap is what is left of its way there, 0 within the junction. Only vehicles on the last lane before the junction
     are looked at, and none that a red light stops.
     """
-
-    def ask(function: str, argument: str, *further: str) -> Any:
-        return session.call(function, (argument, *further), {})
-
-    lane, nearest = session.lane_of(name), NOBODY
-    ways = ask("lane.getLinks", lane) if lane else ()  # a vehicle that is parked has none
+    lanes, vehicles = session.sumo.lane, session.vehicle
+    lane, nearest = vehicles.getLaneID(name), NOBODY
+    ways = lanes.getLinks(lane) if lane else ()  # a vehicle that is parked has none
     if not lane.startswith(":"):  # else there is one way on
-        taken = [link[4] for link in ask("vehicle.getNextLinks", name)[:1]]
+        taken = [link[4] for link in vehicles.getNextLinks(name)[:1]]
         ways = [way for way in ways if way[4] in taken]
     if not ways or not ways[0][4]:  # its lane does not lead on, or nothing more is crossed
         return nearest
-    crossed = ask("lane.getInternalFoes", ways[0][4])
-    for before in dict.fromkeys(ask("lane.getFoes", lane, ways[0][0])):
+    crossed = lanes.getInternalFoes(ways[0][4])
+    for before in dict.fromkeys(lanes.getFoes(lane, ways[0][0])):
         is_inside = before.startswith(":")
-        inside = [before] if is_inside else [link[4] for link in ask("lane.getLinks", before)]
+        inside = [before] if is_inside else [link[4] for link in lanes.getLinks(before)]
         for other in chain.from_iterable(
-            ask("lane.getLastStepVehicleIDs", way) for way in inside if way in crossed
+            lanes.getLastStepVehicleIDs(way) for way in inside if way in crossed
         ):
-            nearest = min(nearest, Neighbour(other, 0.0, session.speed_of(other)), key=itemgetter(1))
-        for other in () if is_inside else ask("lane.getLastStepVehicleIDs", before):
-            link = ask("vehicle.getNextLinks", other)[:1]
+            nearest = min(nearest, Neighbour(other, 0.0, vehicles.getSpeed(other)), key=itemgetter(1))
+        for other in () if is_inside else lanes.getLastStepVehicleIDs(before):
+            link = vehicles.getNextLinks(other)[:1]
             if link and link[0][4] in crossed and link[0][5] not in "ru":
-                gap = ask("lane.getLength", before) - session.position_of(other)
-                nearest = min(nearest, Neighbour(other, gap, session.speed_of(other)), key=itemgetter(1))
+                gap = lanes.getLength(before) - vehicles.getLanePosition(other)
+                nearest = min(nearest, Neighbour(other, gap, vehicles.getSpeed(other)), key=itemgetter(1))
     return nearest

@@ -8,6 +8,7 @@ read once per policy step.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,13 +19,14 @@ import numpy as np
 from sumo_env.contacts.crash import CrashRecord, is_confirmed
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.files import is_file
-from sumo_env.scene import NO_LIGHT, Scene
+from sumo_env.scene import NO_LIGHT, Light, Place, Scene
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo.car import Car
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.engine import LIBSUMO, window
 from sumo_env.sumo.events import Events, modes
 from sumo_env.sumo.options import LIVE
+from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
 from sumo_env.sumo.settings import Settings, placed_settings
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
@@ -32,6 +34,7 @@ from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, 
 
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 MOST_KEPT = 1024  # vehicle types that stay loaded between episodes
+GONE = ("arrived", "removed")  # how a car's way may have ended off the road
 NOISY = {"carFollowModel", "sigma", "lcSigma"}  # attributes with which SUMO's drivers may draw random numbers
 
 
@@ -92,8 +95,8 @@ class SumoSimulator:
         self._events.imagine(scenario.events)
 
     def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
-        """A function of libsumo, such as ``vehicle.getSpeed``."""
-        return self._session.call(path, arguments, named)
+        """A function of libsumo, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
+        return plain(operator.attrgetter(path)(self._session.sumo)(*arguments, **named))
 
     def clone(self) -> NoReturn:
         """SUMO cannot be copied within a process: see `SumoProcess`."""
@@ -189,7 +192,7 @@ class SumoSimulator:
         if not scenario.warm_up:
             return
         for _ in range(round(scenario.warm_up / self._dt)):
-            self._note_crashes(self._advance())
+            self._note(self._advance())
         self._time = 0.0
         self._let_in()
         for name, state in self._session.read(self._modes).items():
@@ -199,29 +202,36 @@ class SumoSimulator:
     # -- a policy step -------------------------------------------------------------------------------------
 
     def _step(self, commands: Commands, trace: bool) -> Step:
+        self._session.check()
+        self._come_and_go(commands)
+        self._obey(commands)
+        scenes: list[Scene] = []
+        for _ in range(self._substeps):
+            driving = [car for car in self._cars.values() if not car.ego.ended]
+            if not driving:
+                break
+            self._events.act(self._time, self._dt)
+            for car in driving:
+                car.distance += car.ego.drive(car.around.ego, self._dt)
+            reported = self._advance()
+            for car in driving:
+                if car.name in self._cars and car.ego.ended not in GONE:
+                    car.distance += car.ego.settle(self._dt)
+                    if (crash := car.look(self._time, self._dt, reported)) is not None:
+                        self._hit(car, crash)
+            self._note(reported)
+            if trace:
+                scenes.append(self._read())
+        scene = scenes[-1] if scenes else self._read()
+        met = {name: car.met() for name, car in self._cars.items()}
+        return Step(scene, met, (tuple(scenes) or (scene,)) if trace else ())
+
+    def _come_and_go(self, commands: Commands) -> None:
+        """What happens to vehicles between two policy steps."""
         if self._steps_done:
             self._let_out(commands)
             self._let_in()
         self._steps_done += 1
-        self._session.check()
-        self._obey(commands)
-        scenes, cars = [], self._cars.values()  # a view: a car may leave the road in between
-        for _ in range(self._substeps):
-            self._events.act(self._time, self._dt)
-            for car in cars:
-                x, y, _, _ = car.around.ego
-                car.distance += car.ego.drive(x, y, self._dt)
-            reported = self._advance()
-            for car in cars:
-                car.distance += car.ego.settle()
-                if (crash := car.look(self._time, self._dt, reported)) is not None:
-                    self._hit(car, crash)
-            if reported:
-                self._note_crashes(reported)
-            if trace:
-                scenes.append(self._read())
-        scene = scenes[-1] if trace else self._read()
-        return Step(scene, {name: car.met() for name, car in self._cars.items()}, tuple(scenes))
 
     def _obey(self, commands: Commands) -> None:
         """Begin a policy step of the learning cars: who has no command is SUMO's."""
@@ -252,8 +262,8 @@ class SumoSimulator:
         """One step in which the crashed vehicles coast; returns the pairs that SUMO reports in collision."""
         for name, speed in self._crashed.items():
             self._crashed[name], distance = coast(speed, self._dt)
-            stretch = self._network.stretch(self._session.lane_of(name))
-            self._session.set_speed(name, distance / self._session.step_length * stretch)
+            stretch = self._network.stretch(self._session.vehicle.getLaneID(name))
+            self._session.vehicle.setSpeed(name, distance / self._session.step_length * stretch)
         self._time += self._dt
         return self._session.step()
 
@@ -264,7 +274,7 @@ class SumoSimulator:
         else:
             self._crash(crash.other)
 
-    def _note_crashes(self, reported: Sequence[tuple[str, str]]) -> None:
+    def _note(self, reported: Sequence[tuple[str, str]]) -> None:
         """Crashes of the other traffic are those that SUMO reports; the first one of a learning car is its own."""
         cars = self._cars
         for pair in reported:
@@ -281,8 +291,9 @@ class SumoSimulator:
     def _crash(self, name: str) -> None:
         """From now on a vehicle coasts to a stop and stays where it is, as in highway-env."""
         if name not in self._crashed:
-            self._crashed[name] = self._session.speed_of(name)
-            self._session.set_modes(name, ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES)
+            self._crashed[name] = self._session.vehicle.getSpeed(name)
+            self._session.vehicle.setSpeedMode(name, ALL_CHECKS_OFF)
+            self._session.vehicle.setLaneChangeMode(name, COMMANDED_LANE_CHANGES)
 
     # -- vehicles that come and go (intersection) ----------------------------------------------------------
 
@@ -295,7 +306,7 @@ class SumoSimulator:
         if not self._network.road.clears_exits:
             return
         for name, state in self._session.read(n for n in self._modes if n not in commands).items():
-            start, end, place = self._network.indices[self._session.lane_of(name)]
+            start, end, place = self._network.indices[self._session.vehicle.getLaneID(name)]
             lane = self._network.road.lane((start, end, place))
             if (
                 end in self._network.ends
@@ -314,7 +325,7 @@ class SumoSimulator:
                     centres.append((spec.x, spec.y))
 
     def _remove(self, name: str) -> None:
-        self._session.remove(name)
+        self._session.vehicle.remove(name)
         self._forget(name)
 
     def _forget(self, name: str) -> None:
@@ -326,22 +337,15 @@ class SumoSimulator:
     def _read(self) -> Scene:
         """The scene by SUMO's vehicles, the learning cars first."""
         cars = self._cars
-        ids = (*cars, *[name for name in self._modes if name not in cars])
-        present = self._session.vehicles()
-        if len(present) > len(ids):  # somebody else has added vehicles
-            ids += tuple(name for name in present if name not in self._modes)
+        ids, seen = (*cars, *self._others()), [self._seen(name, car) for name, car in cars.items()]
         states: dict[str, State] = {}
         for car in cars.values():
-            states |= car.around.near
-        lights = []
-        for name, car in cars.items():
-            states[name] = car.around.ego
-            lights.append(self._session.next_light(name))
+            states |= car.around.near if not car.ego.ended else {}
+        states |= {name: car.around.ego for name, car in cars.items()}
         states |= self._session.read([name for name in ids if name not in states])
         x, y, speed, heading = map(np.array, zip(*[states[name] for name in ids], strict=True))
         crashed = np.zeros(len(ids), np.bool_)
-        for row, car in enumerate(cars.values()):
-            crashed[row] = car.ego.crashed
+        crashed[: len(cars)] = [car.ego.crashed for car in cars.values()]
         if self._crashed:
             for row, name in enumerate(ids):
                 if name in self._crashed:  # a commanded speed, as the ego's
@@ -349,9 +353,22 @@ class SumoSimulator:
         sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
         return Scene(
             *(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting, sizes),
-            *(lights[0] if lights else NO_LIGHT, None, len(cars)),
-            {name: (light, None) for name, light in zip(cars, lights, strict=True) if name != ids[0]},
+            *(seen[0] if seen else (NO_LIGHT, None)),
+            cars=len(cars),
+            further=dict(zip(ids[1:], seen[1:], strict=False)),
         )
+
+    def _others(self) -> list[str]:
+        """The vehicles but learning cars: first those of the scenario, then those that somebody else has added."""
+        known = [name for name in self._modes if name not in self._cars]
+        present = self._session.vehicles()
+        if len(present) > len(known) + len(self._cars):
+            known += [name for name in present if name not in self._modes]
+        return known
+
+    def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:
+        """What a learning car has ahead of it."""
+        return self._session.next_light(name), None
 
 
 def _leaves_traces(scenario: Scenario) -> bool:

@@ -19,10 +19,10 @@ from sumo_env.tasks.base import EgoState, Task, ego_driver, make_on_lane, speed_
 from sumo_env.tasks.drawn import elements
 from sumo_env.tasks.terms import TERMS, measures_energy, terms
 from sumo_env.traffic.drivers import LACKING
-from sumo_env.traffic.foreign import check_files
+from sumo_env.traffic.foreign import UNSORTED, check_files
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
-from sumo_env.traffic.sumo_files import UNSORTED, Contents, configuration, is_output, paths, seconds
+from sumo_env.traffic.sumo_files import configuration, is_output, paths, seconds
 
 Route = Sequence[str]
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
@@ -92,11 +92,10 @@ class NetworkTask(Task):
         if added := paths("additional", additional):
             _append(options, "additional-files", added)
         self._options = options
-        check_files(options)
+        contents = self._contents = check_files(options)
         self._driven = files.network(self.net)
         for name, way in self._drawn:
             files.check_route(self._driven, name, way)
-        contents = self._contents = Contents(options)
         self._first = None if "begin" in options else contents.first_departure
         if left_out := contents.left_out:
             some = ", ".join(left_out[:5]) + (", ..." if len(left_out) > 5 else "")

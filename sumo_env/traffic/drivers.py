@@ -248,40 +248,24 @@ class DriverPool(NamedTuple):
 LACKING = {"W99": ("accel", "decel", "tau"), "Rail": ("accel", "decel", "tau", "min_gap")}
 
 
-class Deviation(NamedTuple):
-    """How a risky driver of SUMO's files differs from its own vehicle type: factors of its parameters.
+def deviation(ranges: RiskRanges, dose: float, seed: int, vehicle: str, model: str) -> dict[str, float]:
+    """How a risky driver of SUMO's files differs from its own vehicle type: factors of the parameters that `model` has.
 
-    gives_way: whether the driver obeys right of way.
+    One fixed quantile a parameter, as of the drivers of a `DriverPool`; ``gives_way`` is 0 where the driver does not
+    obey right of way.
     """
-
-    accel: float
-    decel: float
-    tau: float
-    min_gap: float
-    emergency_decel: float
-    assertive: float
-    speed_gain: float
-    gives_way: bool
-
-    @classmethod
-    def draw(cls, ranges: RiskRanges, dose: float, seed: int, vehicle: str) -> Deviation:
-        """Of the driver of a vehicle: one fixed quantile a parameter, as of the drivers of a `DriverPool`."""
-        together = ONE_STREAM[1:-1]
-        drawn = dict(
-            zip(together, stream(seed, f"driver of {vehicle}").random(len(together)).tolist(), strict=True)
-        )
-        factors = {}
-        for name in SPREAD_PARAMETERS:
-            if name not in drawn:
-                drawn[name] = float(stream(seed, f"{name} of the driver of {vehicle}").random())
-            low, high = getattr(ranges, name)
+    together = ONE_STREAM[1:-1]
+    drawn = dict(
+        zip(together, stream(seed, f"driver of {vehicle}").random(len(together)).tolist(), strict=True)
+    )
+    factors = {"gives_way": float(drawn["gives_way"] >= ranges.not_giving_way * dose)}
+    for name in SPREAD_PARAMETERS:
+        if name not in drawn:
+            drawn[name] = float(stream(seed, f"{name} of the driver of {vehicle}").random())
+        low, high = getattr(ranges, name)
+        if name not in LACKING.get(model, ()):
             factors[name] = 1.0 + dose * (low + drawn[name] * (high - low) - 1.0)
-        return cls(**factors, gives_way=drawn["gives_way"] >= ranges.not_giving_way * dose)
-
-    def of_model(self, model: str) -> Deviation:
-        """For a car-following model: without the parameters that it lacks."""
-        ones: dict[str, Any] = dict.fromkeys(LACKING.get(model, ()), 1.0)
-        return self._replace(**ones)
+    return factors
 
 
 def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:

@@ -1,12 +1,13 @@
-"""What files of SUMO must not hold, whoever wrote them: looked for before SUMO reads them, named by file and line.
+"""What files of SUMO hold that has to be known before SUMO reads them, and what they must not hold, whoever wrote them.
 
-SUMO takes a number that is none for a number, opens connections that an output names, and ends the process where a
-network has detectors, or a file includes itself. Outputs themselves are harmless: `settings.file_settings` says where
-they go.
+What is refused is named by file and line. SUMO takes a number that is none for a number, opens connections that an
+output names, and ends the process where a network has detectors, or a file includes itself. Outputs themselves are
+harmless: `settings.file_settings` says where they go.
 """
 
 from __future__ import annotations
 
+import difflib
 import gzip
 import os
 import re
@@ -15,12 +16,13 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
+from math import inf
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 from xml.parsers import expat
 
 from sumo_env.config import ConfigError
-from sumo_env.traffic.sumo_files import INPUTS
+from sumo_env.traffic.sumo_files import INPUTS, seconds
 
 # Elements of additional files that end the process when they stand in a network.
 NOT_IN_NETWORKS = {
@@ -29,6 +31,12 @@ NOT_IN_NETWORKS = {
     *("calibrator", "rerouter", "timedEvent", "variableSpeedSign"),
 }
 READERS = {"rerouter", "variableSpeedSign"}  # elements with a file of further elements
+DEPARTING = ("vehicle", "trip", "flow", "person", "personFlow", "container", "containerFlow")
+OTHER_FILES = {"net": "a network", "configuration": "a configuration", "osm": "a map of OpenStreetMap"}
+UNSORTED = (
+    "it departs before what stands before it in its route file. Sort the file (SUMO has "
+    "tools/route/sort_routes.py), or take it as an additional file"
+)
 FLOWS = {"flow", "personFlow", "containerFlow"}
 DAY = 86400.0  # [s] after which a flow ends that names no end
 MOST = 100.0  # departures of a flow [1/s]; a lane takes less than one
@@ -72,8 +80,69 @@ SUSPECT = re.compile(
 )  # the others are numbers as they should be
 
 
-def check_files(options: Mapping[str, str]) -> None:
-    """That the files of SUMO's options hold nothing that harms.
+class Found(NamedTuple):
+    """What one file holds; of vehicles and others that depart: id, whether it is a vehicle, time [s] if it has one."""
+
+    includes: tuple[Path, ...]
+    ids: set[str]
+    models: dict[str, str]
+    departing: list[tuple[str, bool, float | None]]
+
+
+class Contents:
+    """What route and additional files hold together.
+
+    Attributes:
+        ids: of all elements.
+        models: car-following models of the vehicle types that name one, by type.
+        first_departure: time of the first departure [s], None without one.
+        left_out: ids of what SUMO leaves out: it departs earlier than what stands before it in a route file.
+    """
+
+    def __init__(self) -> None:
+        self.ids: set[str] = set()
+        self.models: dict[str, str] = {}
+        self.first_departure: float | None = None
+        self.left_out: list[str] = []
+        self._vehicles: set[str] = set()
+
+    def add(self, found: Found, in_order: bool) -> None:
+        """Add a file; in_order: whether SUMO leaves out what departs before what stands before it."""
+        latest = -inf
+        self.ids |= found.ids
+        self.models |= found.models
+        for name, is_vehicle, time in found.departing:
+            if is_vehicle:
+                self._vehicles.add(name)
+            if time is None:
+                continue
+            if in_order and time < latest:
+                self.left_out.append(name)
+                continue
+            latest = max(latest, time)
+            if self.first_departure is None or time < self.first_departure:
+                self.first_departure = time
+
+    def check_vehicle(self, name: str) -> None:
+        """That a vehicle of this id comes, as far as the files say.
+
+        Raises:
+            ConfigError: there is none; the message names near ids.
+        """
+        known = sorted(self._vehicles)
+        stem, _, number = name.rpartition(".")
+        if name in self.left_out or stem in self.left_out:
+            raise ConfigError(f"SUMO leaves out the vehicle {name!r}: {UNSORTED}")
+        if name in known or stem in known:
+            return
+        near = difflib.get_close_matches(name, known, n=5)
+        near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, known, n=5)]
+        hint = f"did you mean one of {', '.join(near)}?" if near else f"they have {', '.join(known[:20])}"
+        raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
+
+
+def check_files(options: Mapping[str, str]) -> Contents:
+    """What the files of SUMO's options hold, by their long names without dashes; nothing of it harms.
 
     Raises:
         ConfigError: the file and the line, what is there, and why it is refused.
@@ -82,11 +151,15 @@ def check_files(options: Mapping[str, str]) -> None:
         low, high = LIMITS.get(option, (-LARGEST, LARGEST))
         if not low <= _number(value.strip(), low) <= high:
             raise ConfigError(f"{option}={value!r} must be a number from {low:g} to {high:g}")
-    for option in set(INPUTS).intersection(options):
+    contents = Contents()
+    for option in INPUTS:
         is_network = option == "net-file"  # one file, whose name may have commas; lists have links without
-        for name in [options[option]] if is_network else options[option].split(","):
-            if name:
-                _check(Path(name), is_network, ())
+        given = options.get(option, "")
+        for name in filter(None, [given] if is_network else given.split(",")):
+            found = _check(Path(name), is_network, ())
+            if option in ("additional-files", "route-files"):
+                contents.add(found, option == "route-files" and options.get("route-steps") != "0")
+    return contents
 
 
 def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
@@ -100,7 +173,7 @@ def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
             raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
 
 
-def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> None:
+def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> Found:
     path = Path(os.path.realpath(path))  # Path.resolve fails where links form a circle
     try:
         about = path.stat()
@@ -108,16 +181,19 @@ def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> None:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
     if not stat.S_ISREG(about.st_mode):
         raise ConfigError(f"{path} is no regular file: SUMO would wait for it")
-    for further in _included(path, is_network, about.st_mtime_ns, about.st_size):
+    found = _read(path, is_network, about.st_mtime_ns, about.st_size)
+    for further in found.includes:
         if further in (path, *including):
             raise ConfigError(f"{path} includes {further}, which includes it: SUMO would not come to an end")
         _check(further, is_network, (path, *including))
+    return found
 
 
 @lru_cache(256)
-def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Path, ...]:
-    """Check the elements of one file; returns the files that it includes."""
-    parser, found, departing = expat.ParserCreate(), [], Counter[str]()
+def _read(path: Path, is_network: bool, changed: int, size: int) -> Found:
+    """Check the elements of one file."""
+    parser, departing = expat.ParserCreate(), Counter[str]()
+    included, found = list[Path](), Found((), set(), {}, [])
     depth, left = 0, UNPACKED
 
     def refuse(what: str) -> NoReturn:
@@ -132,8 +208,8 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
             refuse(f"more than {DEEPEST} elements in each other")
         if is_network and tag in NOT_IN_NETWORKS:
             refuse(f"<{tag}> in a network may end the process: move it to an additional file")
-        if tag == "net" and not is_network:
-            refuse("this is a network, and no file of routes or additional elements")
+        if depth == 1 and tag in OTHER_FILES and not is_network:
+            refuse(f"this is {OTHER_FILES[tag]}, and no file of routes or additional elements")
         for name, text in has.items():
             if is_number(name) and SUSPECT.search(text):
                 for word in WORDS.findall(text):
@@ -146,6 +222,8 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
                 refuse(f'<{tag} {name}="{text:.60}"> must be from {low:g} to {high:g}')
         if has.get("vClass", "passenger") not in _classes():
             refuse(f'there is no vClass="{has["vClass"]:.60}"; SUMO would take another without a word')
+        if not is_network:
+            note(tag, has, has.get("id", ""))
         if tag == "vehicle" or tag == "trip":
             departing[has.get("depart", "")] += 1
             if departing[has.get("depart", "")] > CROWD:
@@ -153,12 +231,21 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
         if tag == "include" or (tag in READERS and "file" in has):
             if not (name := has.get("href", "") or has.get("file", "")):
                 refuse(f"<{tag}> names no file: SUMO would end the process")
-            found.append(path.parent / name)
+            included.append(path.parent / name)
         elif re.search("file|output", has.get("key", "")) and _is_connection(has.get("value", "")):
             refuse(f'"{has["key"]}" opens a connection to {has["value"]}: name a file')
         elif tag in FLOWS and (rate := _rate(has)) > MOST:
             flow = f"<{tag}> {has.get('id', '')!r}"
             refuse(f"{flow} asks for {rate:.3g} departures a second; at most {MOST:g} are possible")
+
+    def note(tag: str, has: Mapping[str, str], name: str) -> None:
+        found.ids.add(name)
+        if tag == "vType" and "carFollowModel" in has:
+            found.models[name] = has["carFollowModel"]
+        if tag in DEPARTING:
+            text = has.get("depart", has.get("begin", ""))
+            time = seconds("depart", text) if re.fullmatch(r"[\d.:]+", text) else None
+            found.departing.append((name, tag in ("vehicle", "trip", "flow"), time))
 
     def end(_: str) -> None:
         nonlocal depth
@@ -178,7 +265,7 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
             parser.Parse(b"", True)
     except (OSError, EOFError, zlib.error, expat.ExpatError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None
-    return tuple(found)
+    return found._replace(includes=tuple(included))
 
 
 @lru_cache(1)

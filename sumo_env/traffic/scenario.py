@@ -202,8 +202,9 @@ class Scenario:
         def changed(spec: VehicleSpec) -> VehicleSpec:
             return spec if spec.id in self.further else spec._replace(driver=other(spec.driver))
 
+        vehicles = tuple(map(changed, self.vehicles))
         spawns = tuple(replace(spawn, vehicle=changed(spawn.vehicle)) for spawn in self.spawns)
-        return replace(self, vehicles=tuple(map(changed, self.vehicles)), spawns=spawns)
+        return replace(self, vehicles=vehicles, spawns=spawns)
 
     @property
     def cars(self) -> tuple[VehicleSpec, ...]:

@@ -1,28 +1,23 @@
 """SUMO's own files (.sumocfg, routes, additional files), as the options with which SUMO loads them.
 
-SUMO reads, routes, inserts and removes what is in the files. This module only finds out what has to be known before:
-which files there are, with which step, from when on, and which ids are in use.
+SUMO reads, routes, inserts and removes what is in the files; `foreign` looks into them before. This module knows which
+files there are, and how SUMO understands their names.
 """
 
 from __future__ import annotations
 
 import atexit
-import difflib
-import gzip
-import math
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 from sumo_env.config import ConfigError
 
-Options = Mapping[str, str]  # SUMO's long names, without dashes -> values
 # Short and old names that configurations have for options that are read here.
 SYNONYMS = {
     **{
@@ -59,12 +54,6 @@ LEFT_OUT = (
     *("xml-validation.net", "xml-validation.routes"),
 )
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
-OTHER_FILES = {"net": "a network", "configuration": "a configuration", "osm": "a map of OpenStreetMap"}
-UNSORTED = (
-    "it departs before what stands before it in its route file. Sort the file (SUMO has "
-    "tools/route/sort_routes.py), or take it as an additional file"
-)
-DEPARTING = ("vehicle", "trip", "flow", "person", "personFlow", "container", "containerFlow")
 
 
 def is_output(option: str) -> bool:
@@ -78,7 +67,10 @@ def configuration(file: Path) -> dict[str, str]:
     Raises:
         ConfigError: the file cannot be read, is no configuration with a network, or asks for mesoscopic traffic.
     """
-    root = _root(file)
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise ConfigError(f"{file} cannot be read: {error}") from error
     found: dict[str, str] = {}
     for section in root:
         if section.tag == "gui_only":
@@ -183,92 +175,3 @@ def seconds(option: str, text: str) -> float:
         )
     except ValueError:
         raise ConfigError(f"{option}={text!r} is no time") from None
-
-
-class Contents:
-    """What has to be known of route and additional files before SUMO reads them.
-
-    Attributes:
-        ids: of all elements.
-        models: car-following models of the vehicle types that name one, by type.
-        first_departure: time of the first departure [s], None without one.
-        left_out: ids of what SUMO leaves out: it departs earlier than what stands before it in a route file.
-    """
-
-    def __init__(self, options: Options) -> None:
-        self.ids: set[str] = set()
-        self.models: dict[str, str] = {}
-        self.first_departure: float | None = None
-        self.left_out: list[str] = []
-        self._vehicles: set[str] = set()
-        for option in ("additional-files", "route-files"):
-            in_order = option == "route-files" and options.get("route-steps") != "0"
-            for name in filter(None, options.get(option, "").split(",")):
-                self._read(Path(name), in_order)
-
-    def _read(self, file: Path, in_order: bool) -> None:
-        latest = -math.inf
-        item = ElementTree.Element("")
-        for item in _elements(file):
-            name = item.get("id", "")
-            self.ids.add(name)
-            if item.tag == "vType" and (model := item.get("carFollowModel")):
-                self.models[name] = model
-            if item.tag not in DEPARTING:
-                continue
-            if item.tag in ("vehicle", "trip", "flow"):
-                self._vehicles.add(name)
-            text = item.get("depart", item.get("begin", ""))
-            if re.fullmatch(r"[\d.:]+", text):
-                time = seconds("depart", text)
-                if in_order and time < latest:
-                    self.left_out.append(name)
-                    continue
-                latest = max(latest, time)
-                if self.first_departure is None or time < self.first_departure:
-                    self.first_departure = time
-        if item.tag in OTHER_FILES:  # the root, which ends last
-            raise ConfigError(
-                f"{file} is {OTHER_FILES[item.tag]}, and no file of routes or additional elements"
-            )
-
-    def check_vehicle(self, name: str) -> None:
-        """That a vehicle of this id comes, as far as the files say.
-
-        Raises:
-            ConfigError: there is none; the message names near ids.
-        """
-        known = sorted(self._vehicles)
-        stem, _, number = name.rpartition(".")
-        if name in self.left_out or stem in self.left_out:
-            raise ConfigError(f"SUMO leaves out the vehicle {name!r}: {UNSORTED}")
-        if name in known or stem in known:
-            return
-        near = difflib.get_close_matches(name, known, n=5)
-        near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, known, n=5)]
-        hint = f"did you mean one of {', '.join(near)}?" if near else f"they have {', '.join(known[:20])}"
-        raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
-
-
-def _opened(file: Path) -> Any:
-    return gzip.open(file) if file.suffix == ".gz" else file.open("rb")
-
-
-def _root(file: Path) -> ElementTree.Element:
-    try:
-        with _opened(file) as opened:
-            return ElementTree.parse(opened).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise ConfigError(f"{file} cannot be read: {error}") from error
-
-
-def _elements(file: Path) -> Generator[ElementTree.Element, None, None]:
-    """The elements of a file, as far as they are asked for."""
-    try:
-        with _opened(file) as opened:
-            for _, item in ElementTree.iterparse(opened):
-                yield item
-                if item.tag in DEPARTING:
-                    item.clear()
-    except (OSError, ElementTree.ParseError) as error:
-        raise ConfigError(f"{file} cannot be read: {error}") from error

@@ -18,7 +18,7 @@ from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.hand_over import HandOver
 from sumo_env.scene import MAX_SPEED
-from tests.sumo_env.plans import QUIET, build, needs_sumo
+from tests.sumo_env.plans import QUIET, build
 
 TYPES = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
 AXES = (True, False, "sumo")
@@ -78,7 +78,6 @@ def test_what_the_agent_does_not_control_sumo_drives_in_all_combinations(kind: s
             assert env.ego_state.target_lane == lane
         if way[0] is False and kind != "DiscreteMetaAction":
             assert env.scene.speed[0] == 25.0
-    env.close()
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
@@ -93,7 +92,6 @@ def test_on_the_five_tasks_sumo_s_driver_is_the_regular_one_whatever_the_risk(ta
     before = env.scene.speed[0]
     *_, info = env.step(0)
     assert info["distance"] == pytest.approx((before + info["speed"]) / 2, abs=1.5)
-    env.close()
 
 
 def test_sumo_changes_lanes_for_an_agent_that_has_the_pedals(net: Path) -> None:
@@ -147,7 +145,6 @@ def test_a_commanded_acceleration_is_reached(net: Path, kind: str, policy: int, 
         assert (info["speed"] - before) * policy == pytest.approx(possible, rel=0.05, abs=1e-6)
         tried += 1
     assert tried >= 6
-    env.close()
 
 
 def test_speeds_end_at_the_range_s_ends_and_never_below_zero() -> None:
@@ -158,7 +155,6 @@ def test_speeds_end_at_the_range_s_ends_and_never_below_zero() -> None:
     assert speeds[:3] == [30.0, 30.0, 30.0] and speeds[-1] == 0.0 and min(speeds) == 0.0
     env.reset(seed=0, options={"config": {"action": {"type": "ContinuousAction"}}})
     assert [env.step(np.array([1.0, 0.0], np.float32))[4]["speed"] for _ in range(4)][-1] == MAX_SPEED
-    env.close()
 
 
 def test_the_lateral_number_changes_lanes(net: Path) -> None:
@@ -181,8 +177,6 @@ def test_the_lateral_number_changes_lanes(net: Path) -> None:
     first = other.ego_state.lane[2]
     other.step(5 if first == 0 else 3)  # acceleration 0
     assert other.ego_state.lane[2] == 1 - first
-    for one in (env, grid, other):
-        one.close()
 
 
 # -- hand-over -----------------------------------------------------------------------------------------------------
@@ -208,7 +202,6 @@ def test_a_hand_over_jumps_neither_in_speed_nor_in_lane(task: str) -> None:
             moved = np.hypot(env.scene.x[0] - before.x[0], env.scene.y[0] - before.y[0])
             # no lane is jumped over, and SUMO's end of a lane change is continued: 0.5 m sideways in a step
             assert moved <= np.hypot(before.speed[0] * 0.1 + 0.1, 0.6)
-    env.close()
 
 
 def test_a_lane_change_that_sumo_has_begun_ends_where_sumo_was_going() -> None:
@@ -224,7 +217,6 @@ def test_a_lane_change_that_sumo_has_begun_ends_where_sumo_was_going() -> None:
         for _ in range(12):
             env.step(IDLE)
         assert env.scene.y[0] == pytest.approx(y + 4.0 * side, abs=0.1)
-    env.close()
 
 
 def test_a_wrapper_hands_over_by_a_rule_and_reset_takes_back(net: Path) -> None:
@@ -244,7 +236,6 @@ def test_a_wrapper_hands_over_by_a_rule_and_reset_takes_back(net: Path) -> None:
     env.reset(seed=0)
     inner.step(IDLE)
     assert inner.sumo.vehicle.getSpeedMode("ego") == COMMANDED
-    env.close()
 
 
 def test_a_copy_is_handed_over_too_and_drives_the_same() -> None:
@@ -258,8 +249,6 @@ def test_a_copy_is_handed_over_too_and_drives_the_same() -> None:
         ours, theirs = env.step(IDLE), twin.step(IDLE)
         assert np.array_equal(ours[0], theirs[0]) and ours[1] == theirs[1]
     assert twin.sumo.vehicle.getSpeedMode("ego") == SUMO_S
-    for one in (env, twin):
-        one.close()
 
 
 def test_an_ego_that_crashes_while_sumo_drives_coasts_to_a_stop() -> None:
@@ -271,7 +260,6 @@ def test_an_ego_that_crashes_while_sumo_drives_coasts_to_a_stop() -> None:
     for _ in range(15):
         *_, info = env.step(0)
     assert info["crashed"] and info["speed"] < 1.0
-    env.close()
 
 
 # -- errors, and other users of actions ----------------------------------------------------------------------------
@@ -322,14 +310,3 @@ def test_checkers_of_gymnasium_and_stable_baselines_pass() -> None:
     env = DrivingEnv("highway", config)
     check_env(env, skip_render_check=True)
     sb3_check_env(env, skip_render_check=True)
-    env.close()
-
-
-@needs_sumo
-def test_the_same_seed_is_the_same_episode_also_where_sumo_drives(net: Path) -> None:
-    envs = [straight(net, seed=4, action=BOTH) for _ in range(2)]
-    for _ in range(10):
-        first, second = (env.step(0) for env in envs)
-        assert np.array_equal(first[0], second[0]) and first[1] == second[1]
-    for env in envs:
-        env.close()

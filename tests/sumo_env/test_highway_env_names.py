@@ -146,7 +146,6 @@ def test_default_config_is_a_class_method_or_a_method() -> None:
     env = gym.make("test/by-the-class-v0", config={"bonus": 2.0})
     env.reset(seed=0)
     assert 2.0 <= float(env.step(1)[1]) <= 3.0
-    env.close()
 
 
 def test_classes_of_the_package_are_imported_when_they_are_asked_for() -> None:

@@ -6,7 +6,6 @@ Each test is one kind of script that was found in public repositories. What is c
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +15,10 @@ import pytest
 from gymnasium.wrappers import AddRenderObservation, FlattenObservation, RecordVideo
 
 import sumo_env  # noqa: F401  (in place of highway_env)
+from sumo_env.config import ConfigError
 from sumo_env.envs import HighwayEnv, IntersectionEnv
 
 FEW = {"vehicles_count": 6, "duration": 4}
-
-
-@pytest.fixture(autouse=True)
-def _closed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Scripts leave their environments open; here they are closed."""
-    made: list[Any] = []
-    make = gym.make
-
-    def remembered(*args: Any, **keywords: Any) -> Any:
-        made.append(make(*args, **keywords))
-        return made[-1]
-
-    monkeypatch.setattr(gym, "make", remembered)
-    yield
-    for env in made:
-        env.close()
 
 
 def test_the_quickstart_trains_a_dqn_on_the_fast_highway(tmp_path: Path) -> None:
@@ -108,11 +92,15 @@ def test_a_subclass_has_its_own_reward_and_id() -> None:
     gym.register(id="own-reward-v0", entry_point=f"{__name__}:OwnReward")
     env: Any = gym.make("own-reward-v0")
     env.reset(seed=1)
-    truncated = False
+    weights, truncated = env.unwrapped.config, False
     for _ in range(4):
-        _, _, _, truncated, info = env.step(env.unwrapped.action_type.actions_indexes["IDLE"])
+        _, reward, terminated, truncated, info = env.step(env.unwrapped.action_type.actions_indexes["IDLE"])
         assert info["rewards"].keys() >= {"gap_reward", "tailgating_reward", "collision_reward"}
-    assert truncated
+        assert reward == pytest.approx(sum(weights.get(key, 0) * one for key, one in info["rewards"].items()))
+        assert terminated == (info["crashed"] or not info["on_road"])
+    assert truncated and len(env.unwrapped.road.vehicles) == 1 + FEW["vehicles_count"]
+    with pytest.raises(ConfigError, match="did you mean 'gap_reward'"):
+        env.unwrapped.configure({"gap_rewards": 7.0})
 
 
 class LeftLane(gym.Wrapper[Any, Any, Any, Any]):
@@ -229,7 +217,6 @@ def test_a_subclass_of_the_intersection_tells_more() -> None:
     observation, info = env.reset(seed=0)
     assert observation.ndim == 1 and info["near"] >= 0
     assert not env.step(1)[4]["is_success"]
-    env.close()
 
 
 def test_pictures_are_observed() -> None:

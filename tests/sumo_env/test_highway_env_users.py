@@ -1,4 +1,4 @@
-"""What users of highway-env and rl-agents bring: configurations, subclasses, and scripts that read its objects."""
+"""What users of highway-env and rl-agents bring: configurations, and scripts that read its objects."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.config import Config, ConfigError
+from sumo_env.config import Config
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
 from tests.sumo_env.parity import stock
@@ -106,52 +106,6 @@ def test_coarse_steps_are_refined() -> None:
     assert env.scenario.simulation_frequency == 6
     assert [env.step(1)[3] for _ in range(4)] == [False, False, False, True]
     assert env.scene.time == pytest.approx(2.0)
-
-
-# -- subclasses --------------------------------------------------------------------------------------------
-
-
-class Overridden(DrivingEnv):
-    """A task as highway-env's documentation changes one."""
-
-    def __init__(self) -> None:
-        super().__init__("highway")
-
-    def default_config(self) -> Config:
-        return {**super().default_config(), "vehicles_count": 3, "bonus": 5.0}
-
-    def _rewards(self, action: int | None) -> dict[str, float]:
-        lanes = self.road.network.all_side_lanes(self.vehicle.lane_index)
-        return {"lane": self.vehicle.lane_index[2] / (len(lanes) - 1), "speed": self.vehicle.speed}
-
-    def _reward(self, action: int) -> float:
-        return self.config["bonus"] + self._rewards(action)["speed"]
-
-    def _is_terminated(self) -> bool:
-        return self.steps == 2
-
-    def _is_truncated(self) -> bool:
-        return self.steps == 1
-
-
-def test_overridden_methods_are_called() -> None:
-    env = Overridden()
-    _, info = env.reset(seed=0)
-    assert set(info["rewards"]) == {"lane", "speed"}
-    assert len(env.road.vehicles) == 4
-    _, reward, terminated, truncated, info = env.step(3)
-    assert reward == pytest.approx(5.0 + info["speed"])
-    assert (terminated, truncated) == (False, True)
-    assert env.step(1)[2:4] == (True, False)
-    env.configure({"bonus": 7.0})
-    with pytest.raises(ConfigError, match="did you mean 'bonus'"):
-        env.configure({"bonos": 7.0})
-
-
-@pytest.mark.parametrize("method", ["_make_road", "has_arrived"])
-def test_methods_that_would_never_be_called_are_refused(method: str) -> None:
-    with pytest.raises(TypeError, match=f"{method} would never be called; docs/from-highway-env.md"):
-        type("Mine", (DrivingEnv,), {method: lambda self: None})
 
 
 # -- what scripts read -------------------------------------------------------------------------------------

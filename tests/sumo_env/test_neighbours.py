@@ -86,7 +86,6 @@ def test_on_a_network_they_are_sumo_s_beyond_junctions_too(tmp_path: Path, hand:
             assert lane == exists and (ahead, behind) == pytest.approx(gaps, abs=0.2)
             found += (ahead < 200.0) + (behind < 200.0)
     assert found > 50 and beyond
-    env.close()
 
 
 @pytest.mark.parametrize("task", ["highway", "roundabout"])
@@ -98,7 +97,6 @@ def test_the_observation_is_in_its_space_on_the_tasks(task: str) -> None:
         assert env.observation_space.contains(observation)
         assert observation[0] == pytest.approx(env.scene.speed[0] / 40.0)
         observation = env.step(IDLE)[0]
-    env.close()
 
 
 def test_features_of_the_way_are_those_of_networks(tmp_path: Path) -> None:
@@ -124,7 +122,6 @@ def test_features_of_the_way_are_those_of_networks(tmp_path: Path) -> None:
         DrivingEnv("highway", {"observation": seen})
     with pytest.raises(ConfigError, match="light_seconds"):
         road(net(tmp_path), observation={**seen, "features": ["light_second"]})
-    env.close()
 
 
 # -- info, and terms of a reward -----------------------------------------------------------------------------------
@@ -138,7 +135,6 @@ def test_info_has_acceleration_and_jerk() -> None:
     for number, acceleration, jerk in ((0.4, 2.0, 10.0), (0.4, 2.0, 0.0), (-0.2, -1.0, -15.0)):
         *_, info = env.step(np.array([number], np.float32))
         assert (info["acceleration"], info["jerk"]) == pytest.approx((acceleration, jerk), abs=1e-4)
-    env.close()
 
 
 def test_fuel_is_what_sumo_says_on_request(tmp_path: Path) -> None:
@@ -159,8 +155,6 @@ def test_fuel_is_what_sumo_says_on_request(tmp_path: Path) -> None:
     assert reward == pytest.approx(5 * terms["progress_reward"] - 0.5 * terms["electricity_reward"])
     quiet = road(path)
     assert quiet.step(FASTER)[4]["fuel"] == 0.0
-    for one in (env, electric, quiet):
-        one.close()
 
 
 def test_comfort_counts_the_square_of_the_acceleration_over_time(tmp_path: Path) -> None:
@@ -207,7 +201,6 @@ def test_a_gap_and_braking_that_is_caused_cost(tmp_path: Path) -> None:
         assert terms["gap_reward"] == pytest.approx(max(1.0 - left / 1.5, 0.0) / 5.0)
         assert reward == pytest.approx(-terms["gap_reward"] - 0.1 * terms["braking_reward"])
     assert gaps > 0.1 and braking == pytest.approx(lost, abs=0.01) and lost > 1.0
-    env.close()
 
 
 def test_terms_cost_nothing_by_default_and_are_in_info(tmp_path: Path) -> None:
@@ -216,4 +209,3 @@ def test_terms_cost_nothing_by_default_and_are_in_info(tmp_path: Path) -> None:
     assert reward == pytest.approx(5 * info["rewards"]["progress_reward"])
     names = {"comfort_reward", "gap_reward", "fuel_reward", "electricity_reward", "braking_reward"}
     assert names < info["rewards"].keys()
-    env.close()

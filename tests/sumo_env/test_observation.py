@@ -14,7 +14,7 @@ from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.actions import ego_route
 from sumo_env.config import resolve
 from sumo_env.interface import interface
-from sumo_env.observation import Kinematics, TimeToCollision
+from sumo_env.observation import Situation
 from sumo_env.tasks import TASKS
 
 from .parity import ego_state, episodes, make, scatter, stock
@@ -43,11 +43,9 @@ def ours(env: ScenarioEnv, observation: dict[str, Any], rng: np.random.Generator
     config = resolve(env.task.name, env.default_config(), {"observation": observation})
     kind = interface(env.task, config).observation_type
     road, ego, scene = env.task.road(env.config), ego_state(env, None), env._scene()
-    if isinstance(kind, TimeToCollision):
-        return kind.observe(scene, road, ego, env.target_speeds, ego_route(road, env.scenario.ego))
-    assert isinstance(kind, Kinematics)
     specs = (*env.scenario.specs, *(spawn.vehicle for spawn in env.scenario.spawns))
-    return kind.observe(scene, road, ego, {spec.id: spec for spec in specs}, rng)
+    known = scene, road, ego, {spec.id: spec for spec in specs}, rng
+    return kind.observe(Situation(*known, env.target_speeds, ego_route(road, env.scenario.ego)))
 
 
 def assert_equal(env: ScenarioEnv, theirs: ObservationType, observation: dict[str, Any]) -> None:

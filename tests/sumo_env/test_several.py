@@ -49,7 +49,6 @@ def driven(env: Any, seed: int, most: int = 100) -> list[Any]:
 def test_petting_zoo_accepts_all_tasks(kind: str, task: str) -> None:
     env = several(kind, task, MOST[task])
     parallel_api_test(env, num_cycles=15)
-    env.close()
 
 
 @pytest.mark.parametrize("task", MOST)
@@ -222,7 +221,6 @@ def test_on_sumo_actions_and_observations_are_tuples_as_well(task: str) -> None:
         env.unwrapped.step((1,))
     with pytest.raises(ConfigError, match="reset cannot change 'controlled_vehicles'"):
         env.reset(options={"config": {"controlled_vehicles": 3}})
-    env.close()
 
 
 @pytest.mark.parametrize(
@@ -293,8 +291,6 @@ def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> 
             assert found[1]["car_0"] == 0.0 and env.agents == ["car_0", "car_1"]
     assert came == [1] * 9 + [2] * 31
     assert all(found[3].values()) and env.cars["car_0"].scene.place.lane[0].startswith("ab")
-    env.close()
-    single.close()
 
 
 @needs_sumo
@@ -313,7 +309,6 @@ def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
         }
     assert set(ends) == set(env.possible_agents) and "arrived" in ends.values()
     assert list(env.ids.values()) == ["early", "late", "g.0", "g.1"]
-    env.close()
 
 
 @needs_sumo

@@ -288,57 +288,42 @@ def test_the_time_to_collision_looks_beyond_short_edges(tmp_path: Path) -> None:
 # -- the rule itself ---------------------------------------------------------------------------------------
 
 
-def meeting(folder: Path, plan: tuple[str, ...]) -> Meeting:
-    found = files.network(netconvert(folder, plan)).meeting
-    assert found is not None
-    return found
-
-
 def test_the_five_tasks_ask_nothing() -> None:
     """No road of theirs crosses another one without a junction."""
     assert all(network(task).meeting is None for task in TASKS)
 
 
-def test_the_back_of_a_long_vehicle_is_on_the_edges_behind(tmp_path: Path) -> None:
-    rule = meeting(tmp_path, PIECES)
-    behind, ahead = Spot("wa_0", 197.0), Spot("ce_0", 10.0)
-    assert rule.can_meet(behind, ahead, BUS + CAR, 0.0)
-    assert not rule.can_meet(behind, ahead, CAR + CAR, 0.0)
-    assert rule.can_meet(behind, ahead, CAR + CAR, 15.0)  # soon
+WITHOUT_EXTENT = "--default.junctions.radius=0"  # lanes within junctions have no length
+CARS = 2 * CAR
+# A plan, two places, and whether they are near enough for vehicles of these lengths that drive on together [m].
+NEAR = [
+    # the back of a long vehicle is on the edges behind; others are there soon
+    (PIECES, Spot("wa_0", 197.0), Spot("ce_0", 10.0), BUS + CAR, 0.0, True),
+    (PIECES, Spot("wa_0", 197.0), Spot("ce_0", 10.0), CARS, 0.0, False),
+    (PIECES, Spot("wa_0", 197.0), Spot("ce_0", 10.0), CARS, 15.0, True),
+    (PIECES, Spot(":a_0_0", 0.0), Spot("wa_0", 190.0), CARS, 0.0, True),
+    (PIECES, Spot(":a_0_0", 0.0), Spot("wa_0", 10.0), CARS, 0.0, False),
+    # edges that a junction joins, near it and far from it
+    (FLYOVER, Spot("me_0", 5.0), Spot("mn_0", 5.0), CARS, 0.0, True),
+    (FLYOVER, Spot("me_0", 140.0), Spot("mn_0", 170.0), CARS, 0.0, False),
+    # a ramp and its road, as long as they are beside each other
+    (NARROW, Spot("wm_0", 200.0), Spot("sm_0", 200.0), CARS, 0.0, True),
+    (NARROW, Spot("wm_0", 20.0), Spot("sm_0", 20.0), CARS, 0.0, False),
+    # heights differ more where vehicles have a way to go
+    (HILL, Spot("wm_0", 160.0, 14.0), Spot("wm_0", 180.0, 18.0), CARS, 0.0, False),
+    (HILL, Spot("wm_0", 160.0, 14.0), Spot("wm_0", 180.0, 18.0), CARS, 20.0, True),
+    (HILL, Spot("wm_0", 160.0, 14.0), Spot("wm_0", 165.0, 16.9), CARS, 0.0, True),
+    # off the road
+    (FLAT, Spot("", -1e9), Spot("we_0", 5.0), CARS, 0.0, True),
+]
 
 
-def test_lanes_without_a_length(tmp_path: Path) -> None:
-    """Within junctions that have no extent."""
-    net = build(tmp_path, PIECES, "--no-turnarounds", "--default.junctions.radius=0")
-    rule = files.network(net).meeting
-    assert rule is not None
-    within = Spot(":a_0_0", 0.0)
-    assert rule.can_meet(within, Spot("wa_0", 190.0), 10.0, 0.0)
-    assert not rule.can_meet(within, Spot("wa_0", 10.0), 10.0, 0.0)
-
-
-def test_edges_that_a_junction_joins_meet_near_it(tmp_path: Path) -> None:
-    rule = meeting(tmp_path, FLYOVER)
-    assert rule.can_meet(Spot("me_0", 5.0), Spot("mn_0", 5.0), 10.0, 0.0)
-    assert not rule.can_meet(Spot("me_0", 140.0), Spot("mn_0", 170.0), 10.0, 0.0)
-
-
-def test_a_ramp_and_its_road_meet_as_long_as_they_are_beside_each_other(tmp_path: Path) -> None:
-    rule = meeting(tmp_path, NARROW)
-    assert rule.can_meet(Spot("wm_0", 200.0), Spot("sm_0", 200.0), 10.0, 0.0)
-    assert not rule.can_meet(Spot("wm_0", 20.0), Spot("sm_0", 20.0), 10.0, 0.0)
-
-
-def test_heights_differ_more_where_vehicles_have_a_way_to_go(tmp_path: Path) -> None:
-    rule = meeting(tmp_path, HILL)
-    low, high = Spot("wm_0", 160.0, 14.0), Spot("wm_0", 180.0, 18.0)
-    assert not rule.can_meet(low, high, 10.0, 0.0)
-    assert rule.can_meet(low, high, 10.0, 20.0)
-    assert rule.can_meet(low, Spot("wm_0", 165.0, 16.9), 10.0, 0.0)
-
-
-def test_a_vehicle_off_the_road_may_meet_anybody(tmp_path: Path) -> None:
-    assert meeting(tmp_path, FLAT).can_meet(Spot("", -1e9), Spot("we_0", 5.0), 10.0, 0.0)
+def test_who_can_meet(tmp_path: Path) -> None:
+    for plan, one, other, lengths, driven, expected in NEAR:
+        more = [WITHOUT_EXTENT] if one.lane.startswith(":") else []
+        net = build(tmp_path, plan, "--no-turnarounds", "--offset.disable-normalization", *more)
+        rule = files.network(net).meeting
+        assert rule is not None and rule.can_meet(one, other, lengths, driven) == expected, (one, other)
 
 
 def test_the_ego_is_as_large_as_its_vehicle_type(tmp_path: Path) -> None:

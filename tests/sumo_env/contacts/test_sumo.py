@@ -44,7 +44,7 @@ def cross() -> list[tuple[float, bool]]:
             place = net.place(lane, net.road.lane(lane).length - 2.0 * speed + rng.uniform(-3, 3), f"o{goal}")
             modes = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES
             session.add(name, place[0], "car", *place[1:], speed, 10.0, modes)
-            session.set_speed(name, speed)
+            session.vehicle.setSpeed(name, speed)
         overlap, reported = -np.inf, False
         for _ in range(LONGEST):
             reported |= bool(session.step())

@@ -143,11 +143,3 @@ def test_play_says_how_each_episode_has_ended(capsys: pytest.CaptureFixture[str]
     assert [line.split(":")[0] for line in lines] == ["seed 3", "seed 4"] and "return" in lines[0]
     with pytest.raises(SystemExit):
         play.main(["--risk", "2"])
-
-
-def test_pictures_take_actions_as_learners_give_them() -> None:
-    """Stable-Baselines3's `predict` returns an array without axes."""
-    with DrivingEnv("highway", render_mode="rgb_array") as env:
-        env.reset(seed=0)
-        env.step(np.array(3))
-        assert env._action_name == "FASTER"

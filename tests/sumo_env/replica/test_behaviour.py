@@ -43,7 +43,6 @@ def test_every_type_of_action_can_be_configured_after_the_environment_was_made(i
         observed, reward, *_ = env.step(chosen)
         assert env.action_space.contains(chosen) and env.observation_space.contains(observed)
         assert np.isfinite(reward)
-    env.close()
 
 
 @pytest.mark.parametrize("id", IDS)
@@ -58,7 +57,6 @@ def test_an_episode_of_drawn_actions_stays_within_the_spaces(id: str) -> None:
         assert env.observation_space.contains(observed)
         assert isinstance(info, dict)
         is_over = terminated or truncated
-    env.close()
 
 
 def test_a_grid_may_have_more_than_255_cells_along_an_axis() -> None:

@@ -415,7 +415,6 @@ def test_the_shares_of_the_route_add_up_to_one_on_arrival(town: Path, frequency:
             break
     assert step.scene.place.ended == "arrived"
     assert sum(shares) == pytest.approx(1.0) and min(shares) >= 0.0
-    env.close()
 
 
 def test_a_route_may_use_an_edge_twice(town: Path) -> None:
@@ -491,8 +490,6 @@ def test_what_an_observation_leaves_out_is_the_network_s(town: Path) -> None:
     assert less.reset(seed=1)[0].tolist() == table[:2].tolist()
     columns = [whole.default_config()["observation"]["features"].index(name) for name in ("vx", "light")]
     assert other.reset(seed=1)[0].tolist() == [table[0, columns].tolist()]
-    for env in (whole, less, other):
-        env.close()
 
 
 # -- SUMO of an environment --------------------------------------------------------------------------------
@@ -525,8 +522,6 @@ def test_one_warning_says_what_libsumo_reads(town: Path) -> None:
         for env in envs:
             env.reset(seed=0)
     assert sum("read the first" in str(warning.message) for warning in caught) == 1
-    for env in envs:
-        env.close()
 
 
 def test_the_way_gets_shorter(town: Path) -> None:

@@ -87,7 +87,6 @@ def test_where_nothing_is_commanded_everybody_is_where_sumo_has_them(name: str, 
     assert len(scenes) > 100 and len({car for _, scene in scenes for car in scene.ids}) > 15
     assert differences(scenes, rows, 0.1) == []
     assert differences(of_another_seed, rows, 0.1)  # the comparison can fail
-    env.close()
 
 
 def test_an_ego_that_sumo_drives_is_where_sumo_has_it(tmp_path: Path) -> None:
@@ -131,4 +130,3 @@ def test_an_added_car_changes_nothing_before_it_comes_and_little_on_the_whole_la
             ours.append((len(scene) - 1, float(np.mean(scene.speed[1:]))))
             theirs.append((len(cars), float(np.mean([float(car["speed"]) for car in cars.values()]))))
     assert np.mean(ours, axis=0) == pytest.approx(np.mean(theirs, axis=0), rel=0.05)
-    env.close()

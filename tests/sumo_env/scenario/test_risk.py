@@ -11,9 +11,7 @@ import pytest
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.simulator import EgoCommand
 from sumo_env.tasks import network
-from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.drivers import RISK_RANGES
-from sumo_env.traffic.risk import draw_events
 from tests.sumo_env.plans import build, needs_sumo, route_file
 from tests.sumo_env.scenario.test_oracle import driven, fronts
 
@@ -100,16 +98,6 @@ def test_bicycles_and_parameters_that_a_model_lacks_are_left_alone(road: tuple[P
     for name, before in values[0].items():
         assert values[1][name][:3] == before[:3]
         assert (values[1][name][3] == before[3]) == name.startswith("b.")
-
-
-def test_events_of_a_smaller_dose_are_a_subset(road: tuple[Path, Path]) -> None:
-    rates = NetworkTask.risk_rates
-    for name in ("f.1", "f.2", "f.3"):
-        few, many = (
-            set(draw_events(rates, dose, ((name, 10.0),), 1, 600.0, f"risk events of {name}"))
-            for dose in (0.3, 1.0)
-        )
-        assert few < many and min(event.time for event in many) >= 10.0
 
 
 def test_at_risk_0_everybody_is_where_they_are_without_this_package(road: tuple[Path, Path]) -> None:

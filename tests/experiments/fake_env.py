@@ -64,6 +64,17 @@ class FakeEnv(gym.Env):
         return picture
 
     @property
+    def scene(self) -> SimpleNamespace:
+        """What a fingerprint is taken of."""
+        return SimpleNamespace(
+            ids=("ego", "v0"),
+            x=np.array([0.0, self.gap]),
+            y=np.array([4.0, 4.0]),
+            speed=np.array([self.speed, 15.0]),
+            crashed=np.array([self.crashed] * 2),
+        )
+
+    @property
     def vehicle(self) -> SimpleNamespace:
         return SimpleNamespace(
             target_lane_index=0,

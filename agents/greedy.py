@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -38,14 +37,6 @@ class Greedy:
 
     def reset(self, seed: int | None = None) -> None:
         """Nothing to do: a greedy policy has no state."""
-
-    @property
-    def sha256(self) -> str:
-        """Fingerprint of the weights."""
-        digest = hashlib.sha256()
-        for name, value in self.network.state_dict().items():
-            digest.update(name.encode() + value.numpy().tobytes())
-        return digest.hexdigest()
 
     def save(self, path: str | Path) -> None:
         """Write the weights as an npz, an array each, by their names in the network."""

@@ -54,7 +54,7 @@ def page(results: Results, analysis: Analysis, others: Mapping[str, Analysis]) -
         "seconds": duration(analysis.provenance["seconds"]),
         "computed": computed(results),
         "address": DOCUMENTATION,
-        **{name: getattr(analysis, name) for name in ("plan", "plan_hash", "provenance", "negative_control")},
+        **{name: getattr(analysis, name) for name in ("plan", "plan_hash", "provenance")},
     }
 
 

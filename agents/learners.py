@@ -30,7 +30,7 @@ class DoubleDQN:
         space: Any = env.observation_space
         actions: Any = env.action_space
         network = network_class(settings.network)(space, int(actions.n))
-        return Greedy.load(path, Standardised(network, space), settings.by_hand)
+        return Greedy.load(path, Standardised(network, space))
 
 
 LEARNERS: dict[str, Learner] = {

@@ -96,7 +96,7 @@ def test_updates_by_hand_are_those_of_autograd() -> None:
     plain, by_hand = (weights(agent.online) for agent in agents)
     np.testing.assert_allclose(plain, by_hand, atol=2e-6)
     assert np.abs(plain - before).max() > 1e-3
-    values, values_by_hand = (agent.policy().q(pair[0]) for agent in agents)
+    values, values_by_hand = (agent.q(pair) for agent in agents)
     np.testing.assert_allclose(values, values_by_hand, atol=1e-5)
 
 

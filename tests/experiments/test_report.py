@@ -85,7 +85,7 @@ class TestReport:
         assert len(table) == 3 * 8 * 2
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(table)
         appendix = (directory / "appendix.html").read_text()
-        assert "settings are significant" in appendix and "the largest effect is 0" in appendix
+        assert "settings are significant" in appendix
 
     def test_a_stored_analysis_of_an_earlier_or_later_version_is_read(self, directory, tmp_path):
         value = json.loads((directory / "analysis.json").read_text())

@@ -30,7 +30,7 @@ from experiments.study.design import grid
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
-from experiments.study.design.verdict import SCHEMA, STORED, versions
+from experiments.study.design.verdict import STORED, versions
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
@@ -93,8 +93,6 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     found = checks.scorecard(table)
     command = shlex.join(["python", "experiments/validate.py", *named])
     verdict = {
-        "schema": SCHEMA,
-        "backend": "sumo",
         "source": f"{scenarios} scenarios of each level ({command})",
         "versions": versions(),
         "fingerprints": {task: dynamics("sumo", task) for task in tasks},

@@ -197,7 +197,7 @@ def _read(path: Path, changed: int) -> Network:
 
 
 def _to_scale(found: SumoLane) -> SumoLane:
-    """Without the difference between a short lane's length and its shape, which says nothing about driving on it."""
+    """With SUMO's length as the drawn length of a short lane, because their ratio is meaningless there."""
     return replace(found, drawn=found.length) if min(found.length, found.drawn) < SHORT else found
 
 

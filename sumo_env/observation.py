@@ -329,8 +329,8 @@ class TimeToCollision:
         """The 3 x 3 neighbourhood: beyond the outer lanes all is contact, beyond the last speed the speed repeats."""
         wall = np.ones((grid.shape[0], 1, grid.shape[2]))
         padded = np.concatenate([wall, grid, wall], axis=1)[:, lane : lane + 3, :]
-        rungs = np.clip(np.arange(speed_index - 1, speed_index + 2), 0, grid.shape[0] - 1)
-        return padded[rungs].astype(np.float32)
+        near = np.clip(np.arange(speed_index - 1, speed_index + 2), 0, grid.shape[0] - 1)
+        return padded[near].astype(np.float32)
 
 
 def _connected(

@@ -265,7 +265,8 @@ def plan(
         Part(engine, task, level, traffic, scenarios[first : first + size])
         for engine in engines
         for task, numbers in levels.items()
-        if sheet(task).joins or engine.config.get("variant") not in ("v0", "connected")
+        if TASKS[task].road(TASKS[task].defaults).joined
+        or engine.config.get("variant") not in ("v0", "connected")
         for level in numbers
         for traffic in traffics
         for first in range(0, len(scenarios), size)

@@ -103,7 +103,7 @@ class Session:
         return True
 
     def _clock_is_ours(self) -> bool:
-        """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
+        """True if only this session has stepped SUMO. A loaded state would also have rounded vehicle types."""
         return abs(self.simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
 
     def forget(self) -> None:

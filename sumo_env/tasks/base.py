@@ -309,12 +309,15 @@ def make_on_lane(
     return VehicleSpec(id, *pose, speed, wanted, destination, driver, changes_lanes, timer, concerns_ego)
 
 
-def nearest_index(speed: float, ladder: Sequence[float]) -> int:
+# The replica compiles the first two functions and `speed_term`: plain floats and sequences only.
+
+
+def nearest_index(speed: float, speeds: Sequence[float]) -> int:
     """Index of the evenly spaced target speed nearest to a speed [m/s] (``MDPVehicle.speed_to_index``)."""
-    last = len(ladder) - 1
+    last = len(speeds) - 1
     if last == 0:
         return 0
-    position = (speed - ladder[0]) / (ladder[last] - ladder[0])
+    position = (speed - speeds[0]) / (speeds[last] - speeds[0])
     return min(max(round(position * last), 0), last)
 
 

@@ -17,7 +17,7 @@ from sumo_env.streams import stream
 
 FREE_WAY = 40.0  # [m]
 CUT_IN_GAP = 1.0  # [m] that a cut-in leaves to every other vehicle, else it does not happen
-LOOKED_AT = 4.0 * LENGTH  # [m] further away, along x and y together, nobody matters to a cut-in
+LOOKED_AT = 4.0 * LENGTH  # [m] vehicles further away, along x and y together, do not hinder a cut-in
 SWERVE_TIME = 3.0  # [s] that a cut-in into the lane of oncoming traffic lasts
 Kind = Literal["cut-in", "brake", "surge"]
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane

@@ -6,9 +6,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -197,6 +198,10 @@ class TupleEnv(gym.Env[Any, Any]):
     def controlled_vehicles(self) -> list[Any]:
         """The learning cars, as ``env.unwrapped.vehicle`` shows the first one."""
         return [env.vehicle for env in self.cars.envs]
+
+    def get_available_actions(self) -> Iterator[tuple[int, ...]]:
+        """Tuples of actions, each of which would change something for its car now, or is IDLE."""
+        return product(*(env.get_available_actions() for env in self.cars.envs))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

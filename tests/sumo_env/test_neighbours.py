@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
-from sumo_env.config import ConfigError
+from sumo_env.config import Config, ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.neighbours import neighbours_on
 from sumo_env.networks.roads import highway
@@ -41,7 +41,7 @@ def test_a_task_of_ones_own_may_see_something_else(tmp_path: Path, seen: dict[st
     """A configuration with a table of its own still has the network's features and ranges."""
 
     class Sees(NetworkTask):
-        defaults = {**NetworkTask.defaults, "observation": seen}
+        defaults: ClassVar[Config] = {**NetworkTask.defaults, "observation": seen}
 
     way = (net(tmp_path), [["ab", "bc"]], ["ab", "bc"])
     env, usual = DrivingEnv(Sees(*way)), SumoDrivingEnv(*way)

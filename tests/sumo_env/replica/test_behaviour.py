@@ -21,9 +21,12 @@ from pettingzoo.test import parallel_api_test
 IDS = [*sumo_env.REPLICA_IDS, sumo_env.FAST_ID, *sumo_env.LATER_IDS]
 ACTIONS: list[Any] = [{"type": kind} for kind in ("ContinuousAction", "DiscreteAction", "DiscreteMetaAction")]
 SHORT = {"controlled_vehicles": 2, "duration": 5}
-TUPLES = {
+TUPLES: dict[str, Any] = {
     **SHORT,
-    "action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}},
+    "action": {
+        "type": "MultiAgentAction",
+        "action_config": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10]},
+    },
     "observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics"}},
 }
 
@@ -178,8 +181,9 @@ def test_tuples_of_every_type_of_action(action: Any) -> None:
 def test_available_actions_of_tuples_are_tuples(id: str) -> None:
     """``MultiAgentAction.get_available_actions``: the product of what each car could do now."""
     env = made(id, config=TUPLES)
-    theirs = gym.make(id.split("/")[1], config=TUPLES, disable_env_checker=True)
+    theirs = made(id.partition("/")[2], config=TUPLES)
     for seed in range(3):
         env.reset(seed=seed)
         theirs.reset(seed=seed)
-        assert set(env.unwrapped.get_available_actions()) == set(theirs.unwrapped.get_available_actions())  # type: ignore[attr-defined]
+        ours, other = (set(one.unwrapped.get_available_actions()) for one in (env, theirs))
+        assert ours == other and len(ours) > 1

@@ -57,9 +57,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     road = task.road(config)
     observation: ObservationType
     given, of_network = config["observation"], isinstance(task, NetworkTask)
-    if of_network and given["type"] == task.defaults["observation"]["type"]:
-        given = {**task.defaults["observation"], **given}  # its ranges are made of the network
     if given["type"] == "Kinematics":
+        if isinstance(task, NetworkTask):
+            given = {**task.table, **given}
         observation = Kinematics(given, road.count(*task.ego_road), on_its_way=of_network)
     elif given["type"] == "OccupancyGrid":
         observation = OccupancyGrid(given)

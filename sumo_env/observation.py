@@ -284,9 +284,6 @@ class TimeToCollision:
                 f"observation 'horizon' must be at least one policy step, not {self.horizon!r} s"
             )
         self.space = spaces.Box(0.0, 1.0, (3, 3, self.steps), np.float32)
-        self.features: tuple[str, ...] = ()
-        self.ranges: dict[str, tuple[float, float]] = {}
-        self.absolute = False
 
     def observe(self, seen: Situation) -> Array:
         """The grid, float32 of shape (3, 3, steps)."""

@@ -39,7 +39,6 @@ class NetworkTask(Task):
             "type": "Kinematics",
             "vehicles_count": 10,
             "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h", *ON_ITS_WAY],
-            "features_range": {},  # made of the network's speed limits, see `_ranges`
         },
         "action": DISCRETE_META_ACTION,
         "vehicles_count": 20,  # placed at random on the routes that are given as lists
@@ -109,10 +108,12 @@ class NetworkTask(Task):
         self._limit = self._speed_limit()
         if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
             self.target_speeds = (0.0, round(self._limit / 2, 2), round(self._limit, 2))
-        seen = {
-            **self.defaults["observation"],
-            "features_range": self.defaults["observation"]["features_range"] or _ranges(self._limit),
-        }
+        # what a Kinematics table has unless it is said; a subclass may see something else
+        table = {**NetworkTask.defaults["observation"], "features_range": _ranges(self._limit)}
+        seen = self.defaults["observation"]
+        if seen["type"] == table["type"]:
+            seen = table = {**table, **seen}
+        self.table: Config = table
         self.defaults = {
             **self.defaults,
             "observation": seen,

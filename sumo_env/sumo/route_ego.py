@@ -106,7 +106,8 @@ class RouteEgo:
     def settle(self, dt: float) -> float:
         """After the step: what SUMO has made of the commands; returns the distance that was driven [m]."""
         session, before = self._session, self._lane
-        self.speed = session.vehicle.getSpeed(self._name)
+        if not self.ended:  # at the end of a lane from which its route cannot go on, SUMO stops it at once
+            self.speed = session.vehicle.getSpeed(self._name)
         if self._measures_energy:
             self._fuel += session.vehicle.getFuelConsumption(self._name) * dt
             self._electricity += session.vehicle.getElectricityConsumption(self._name) * dt

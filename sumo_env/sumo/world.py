@@ -68,7 +68,7 @@ class SumoSimulator:
         files = "" if scenario.traffic is None else f" of {dict(scenario.traffic.options)['net-file']}"
         raise SimulatorError(
             f"SUMO cannot begin this episode{files} ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it "
-            f"says is above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
+            f"says is above; was it given wrong files, options ({' '.join(self._options) or 'none'}) or vehicle types?"
         ) from refusal
 
     def step(self, commands: Commands, trace: bool = False) -> Step:

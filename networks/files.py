@@ -24,7 +24,6 @@ from sumo_env.networks.mapping import Network, SumoLane, read_net, sumo_lanes_of
 from sumo_env.networks.meeting import Meeting
 from sumo_env.networks.roads import LaneIndex, Road
 
-Routes = tuple[tuple[str, tuple[str, ...]], ...]  # (name, SUMO's edges)
 Shape = tuple[Point, ...]
 
 CAR = "passenger"  # SUMO's class of the ego, and of all vehicles without another one
@@ -47,26 +46,16 @@ def is_file(name: str) -> bool:
     return name.endswith((".xml", ".xml.gz"))
 
 
-def network(net_file: str | Path, routes: Routes = ()) -> Network:
-    """The network of a file (.net.xml, .net.xml.gz), with named routes; it is read again when it has changed.
+def network(net_file: str | Path) -> Network:
+    """The network of a file (.net.xml, .net.xml.gz); it is read again when it has changed.
 
     Raises:
-        ValueError: there is no such file, it is no network with lanes inside its junctions, or a route leads over
-            edges that it does not have or that are not connected (`check_route`, for vehicles of any class).
+        ValueError: there is no such file, or it is no network with lanes inside its junctions.
     """
     path = Path(os.path.realpath(net_file))
     if not path.is_file():
         raise ValueError(f"there is no SUMO network {path}")
-    return _with_routes(path, path.stat().st_mtime_ns, routes)
-
-
-@lru_cache(maxsize=16)
-def _with_routes(path: Path, changed: int, routes: Routes) -> Network:
-    plain = _read(path, changed)
-    for name, way in routes:
-        check_route(plain, name, way, "")
-    ways = {name: tuple(f"{edge}:{end}" for edge in way for end in ("from", "to")) for name, way in routes}
-    return replace(plain, road=replace(plain.road, ways=ways), routes=dict(routes))
+    return _read(path, path.stat().st_mtime_ns)
 
 
 def lanes_for(network: Network, edge: str, vehicles: str = CAR) -> list[LaneIndex]:
@@ -124,7 +113,6 @@ def check_trip(network: Network, start: str, end: str, vehicles: str = CAR) -> N
 
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int) -> Network:
-    """The network of a file without routes."""
     try:
         net, left_hand = read_net(path), _is_left_hand(path)
         sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}

@@ -30,10 +30,9 @@ SAMPLE = 1.0  # [m] between the points that stand for a lane of more
 class Road:
     """An immutable set of named lanes and the graph that they form.
 
-    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `ways` are routes by
-    name, as nodes; a name stands for the end of its route wherever a destination is asked for. `leads` says which lanes
-    follow each lane, on networks of SUMO; without it, numbers and places of lanes do, as in highway-env. `arguments`
-    are those of `road`, beside the name.
+    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `leads` says which
+    lanes follow each lane, on networks of SUMO; without it, numbers and places of lanes do, as in highway-env.
+    `arguments` are those of `road`, beside the name.
 
     oncoming: whether the lane to the left is that of oncoming traffic.
     clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
@@ -44,7 +43,6 @@ class Road:
 
     name: str
     lanes: Mapping[LaneIndex, Lane]
-    ways: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     arguments: tuple[tuple[str, float], ...] = ()
     oncoming: bool = False
     clears_exits: bool = False
@@ -80,13 +78,7 @@ class Road:
         return tuple((start, end, j) for j in (i - 1, i + 1) if 0 <= j < self._counts[start, end])
 
     def route(self, start: str, goal: str) -> tuple[str, ...]:
-        """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none.
-
-        Towards one of the `ways`, what is left of it from `start` on.
-        """
-        if goal in self.ways:
-            way = self.ways[goal]
-            return way[way.index(start) :] if start in way else ()
+        """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""
         queue: deque[tuple[str, ...]] = deque([(start,)])
         while queue:
             path = queue.popleft()
@@ -125,10 +117,6 @@ class Road:
             return onto(route[route.index(node) + 1])[1]
         ends = self.successors.get(node, ())
         return min(map(onto, ends), key=itemgetter(0))[1] if ends else index
-
-    def goal(self, destination: str) -> str:
-        """The node that a destination stands for."""
-        return self.ways[destination][-1] if destination in self.ways else destination
 
     def closest_lane(self, x: float, y: float, heading: float | None = None) -> LaneIndex:
         """Index of the lane with the least `distance`, that of the heading included; the first of equals.

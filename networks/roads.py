@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import itemgetter
 from typing import Any
@@ -30,9 +30,8 @@ SAMPLE = 1.0  # [m] between the points that stand for a lane of more
 class Road:
     """An immutable set of named lanes and the graph that they form.
 
-    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `leads` says which
-    lanes follow each lane, on networks of SUMO; without it, numbers and places of lanes do, as in highway-env.
-    `arguments` are those of `road`, beside the name.
+    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `arguments` are
+    those of `road`, beside the name.
 
     oncoming: whether the lane to the left is that of oncoming traffic.
     clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
@@ -46,7 +45,6 @@ class Road:
     arguments: tuple[tuple[str, float], ...] = ()
     oncoming: bool = False
     clears_exits: bool = False
-    leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] = field(default_factory=dict)
     joined: bool = False
     regulated: bool = False
     turned_by_matrix: bool = False
@@ -95,10 +93,9 @@ class Road:
     ) -> LaneIndex:
         """The lane that follows `index` on the way along the nodes of `route`.
 
-        That is one of those that `leads` has. Where it has none, the lane id is kept onto a road with as many lanes;
-        otherwise the lane is taken that is closest to the current lane's centre beside the vehicle at (x, y) [m]
-        (without a position: to that lane's end). Where the route does not go on past the lane's end all successors
-        compete; without any, `index` stays.
+        The lane id is kept onto a road with as many lanes; otherwise the lane is taken that is closest to the current
+        lane's centre beside the vehicle at (x, y) [m] (without a position: to that lane's end). Where the route does
+        not go on past the lane's end all successors compete; without any, `index` stays.
         """
         start, node, i = index
         lane = self.lanes[index]
@@ -106,11 +103,8 @@ class Road:
         projected = lane.position(s, 0.0)
 
         def onto(end: str) -> tuple[float, LaneIndex]:
-            candidates = [lane for lane in self.leads.get(index, ()) if lane[1] == end]
-            if not candidates and self._counts[start, node] == self._counts[node, end]:
-                candidates = [(node, end, i)]
-            elif not candidates:
-                candidates = [(node, end, j) for j in range(self._counts[node, end])]
+            keeps = self._counts[start, node] == self._counts[node, end]
+            candidates = [(node, end, j) for j in ((i,) if keeps else range(self._counts[node, end]))]
             return min(((self.lanes[c].distance(*projected), c) for c in candidates), key=itemgetter(0))
 
         if node in route[:-1]:

@@ -1,4 +1,4 @@
-"""Build SUMO's networks: `python -m sumo_env.networks.build` rewrites them, `--check` compares.
+"""Build SUMO's networks: `python -m sumo_env.networks.build` rewrites them; a test compares their bytes.
 
 For each plan in `sumo_env.networks.plans`, runs netconvert (of the `eclipse-sumo` wheel, which only this module needs)
 on its plain XML, which nobody keeps. In the result, all lane speeds are overwritten, also inside junctions: netconvert
@@ -8,13 +8,12 @@ contains a date and paths of the machine, is dropped, so that building twice giv
 
 from __future__ import annotations
 
-import argparse
-import filecmp
 import re
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
+
+import sumolib
 
 from sumo_env.networks import plans
 
@@ -28,15 +27,6 @@ OPTIONS = (
 )
 
 
-def netconvert() -> Path:
-    """The netconvert of the installed eclipse-sumo wheel; RuntimeError if there is none."""
-    try:
-        import sumo
-    except ImportError as error:
-        raise RuntimeError("building networks needs netconvert: install eclipse-sumo==1.28.0") from error
-    return Path(sumo.SUMO_HOME) / "bin" / "netconvert"
-
-
 def build(plan: plans.Plan, folder: Path) -> Path:
     """Write the network of `plan` below `folder`; returns its path.
 
@@ -47,7 +37,18 @@ def build(plan: plans.Plan, folder: Path) -> Path:
     net.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         nodes, edges, connections = plan.write(Path(scratch))
-        command = [netconvert(), "-n", nodes, "-e", edges, "-x", connections, "-o", net, *OPTIONS]
+        command = [
+            sumolib.checkBinary("netconvert"),
+            "-n",
+            nodes,
+            "-e",
+            edges,
+            "-x",
+            connections,
+            "-o",
+            net,
+            *OPTIONS,
+        ]
         done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
     if done.returncode or "Warning" in done.stderr:
         raise RuntimeError(f"netconvert on {plan.name}: {done.stderr.strip() or done.stdout.strip()}")
@@ -57,30 +58,6 @@ def build(plan: plans.Plan, folder: Path) -> Path:
     return net
 
 
-def stale(folder: Path = HERE) -> list[str]:
-    """Names of networks below `folder` that differ from what their plan gives now, or are missing."""
-    names = [f"{plan.name}.net.xml" for plan in plans.all_plans()]
-    with tempfile.TemporaryDirectory() as scratch:
-        for plan in plans.all_plans():
-            build(plan, Path(scratch))
-        _, differing, missing = filecmp.cmpfiles(folder, scratch, names, shallow=False)
-    return sorted(differing + missing, key=names.index)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status, 1 when `--check` finds a difference."""
-    parser = argparse.ArgumentParser(
-        prog="python -m sumo_env.networks.build", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--check", action="store_true", help="compare with a fresh build, write nothing")
-    if parser.parse_args(arguments).check:
-        differing = stale()
-        print("\n".join(f"differs: {name}" for name in differing) or "networks are up to date")
-        return 1 if differing else 0
+if __name__ == "__main__":
     for plan in plans.all_plans():
         print(build(plan, HERE).relative_to(HERE))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

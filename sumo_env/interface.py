@@ -117,7 +117,8 @@ def information(
 def ending(ego: EgoState, arrived: bool, terminated: bool, truncated: bool) -> str:
     """How an episode has ended, for ``info["ending"]``; "" while it goes on.
 
-    "crash", "arrived", "missed turn", "removed" (by SUMO), "off road", "own rule" (of a subclass), or "time".
+    "crash", "arrived", "missed turn", "removed" (by SUMO), "off road", "own rule" (of a subclass, or a red light), or
+    "time".
     """
     if not terminated:
         return "time" if truncated else ""

@@ -256,7 +256,7 @@ def destination_direction(
     """
     if spec is None or spec.destination is None:
         return 0.0, 0.0
-    goal = road.goal(spec.destination)
+    goal = spec.destination
     at_goal = spec.lane[1] == goal
     lane = road.lane(spec.lane if at_goal else next(index for index in road.lanes if index[1] == goal))
     x, y = float(scene.x[row]), float(scene.y[row])

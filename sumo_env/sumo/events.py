@@ -168,7 +168,8 @@ class Events:
         x, y, speed, _ = states.pop(name)
         geometry = self._network.road.lane(lane)
         s, _ = geometry.local_coordinates(x, y)
-        return has_room((*geometry.position(s, 0.0), speed, geometry.heading_at(s)), list(states.values()))
+        there = *geometry.position(s, 0.0), speed, geometry.heading_at(s)
+        return has_room(there, list(states.values()), self._session.halves((name, *states)))
 
     def _end_cut_in(self, name: str) -> None:
         if self._network.road.oncoming:

@@ -62,7 +62,12 @@ def network(net_file: str | Path, routes: Routes = ()) -> Network:
 
 @lru_cache(maxsize=16)
 def _with_routes(path: Path, changed: int, routes: Routes) -> Network:
-    plain = _read(path, changed)
+    try:
+        plain = _read(path, changed)
+    except Exception as error:  # of the XML parser, of sumolib, or of lanes that do not fit each other
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
     for name, way in routes:
         check_route(plain, name, way, "")
     ways = {name: tuple(f"{edge}:{end}" for edge in way for end in ("from", "to")) for name, way in routes}
@@ -125,11 +130,8 @@ def check_trip(network: Network, start: str, end: str, vehicles: str = CAR) -> N
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int) -> Network:
     """The network of a file without routes."""
-    try:
-        net, left_hand = read_net(path), _is_left_hand(path)
-        sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
-    except Exception as error:  # of the XML parser, or whatever sumolib stumbles over
-        raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
+    net, left_hand = read_net(path), _is_left_hand(path)
+    sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
     indices: dict[str, LaneIndex] = {}

@@ -61,6 +61,7 @@ RECORDS: dict[str, tuple[Any, ...]] = {
     "key.eval.first_scenario": (HUGE - 1, -1, "0"),
     "key.seed": (HUGE - 1, 10**30, True, "0", -1, None, 0.5),
     "key.env_config.vehicles_count": (HUGE, -1, "many"),
+    "key.env_config.policy_frequency": (0, -1, "often", 1e-9, None),
     "key.env_config.duration": (HUGE, 0, -5),
     "key.env_config.simulation_frequency": (10**7, 0),
     "key.env_config.screen_width": (10**6, 0),

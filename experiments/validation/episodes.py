@@ -73,7 +73,10 @@ COLUMNS: dict[str, str] = {
 
 
 MAY_LACK = ("crash_time", "traffic_speed", "lane_changes")  # without a crash, or without traffic to see
-STORED = {name: Column(kind, 0 if kind[0] == "u" else -MOST, MOST, missing=name in MAY_LACK) for name, kind in COLUMNS.items()}
+STORED = {
+    name: Column(kind, 0 if kind[0] == "u" else -MOST, MOST, missing=name in MAY_LACK)
+    for name, kind in COLUMNS.items()
+}
 
 
 def egos(task: str) -> tuple[str, ...]:
@@ -204,9 +207,7 @@ class Part:
     def done(self) -> bool:
         """Whether it is stored; a part that is damaged is named, and driven again."""
         path = self.directory / self.name
-        wanted = [
-            (self.task, self.level, self.traffic, ego, scenario) for scenario, ego in self.episodes()
-        ]
+        wanted = [(self.task, self.level, self.traffic, ego, scenario) for scenario, ego in self.episodes()]
         try:
             table = read_table(path)
             check_columns(table, STORED, COLUMNS)

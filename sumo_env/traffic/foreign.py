@@ -77,7 +77,10 @@ RANGES = {
     "step": {"speed": (-1e3, 1e3)},
     **{tag: {"length": (0.0, 1e5)} for tag in ("laneAreaDetector", "e2Detector")},
     "phase": {"duration": (1e-3, LARGEST)},
-    **{tag: {"departPos": (-1e5, 1e5), "departPosLat": (-1e3, 1e3), "speedFactor": (0.01, 10.0)} for tag in ("vehicle", "trip", "flow")},
+    **{
+        tag: {"departPos": (-1e5, 1e5), "departPosLat": (-1e3, 1e3), "speedFactor": (0.01, 10.0)}
+        for tag in ("vehicle", "trip", "flow")
+    },
 }
 is_number = lru_cache(1000)(re.compile(NUMBERS).fullmatch)  # whether an attribute of this name is one
 WORDS = re.compile(r"[^\s,;:()]+")

@@ -80,7 +80,9 @@ def configuration(file: Path) -> dict[str, str]:
             if value is not None:
                 name = SYNONYMS.get(item.tag, item.tag)
                 if found.setdefault(name, value) != value:  # SUMO refuses it as well
-                    raise ConfigError(f"{file}: the option {name!r} is given twice: {found[name]!r} and {value!r}")
+                    raise ConfigError(
+                        f"{file}: the option {name!r} is given twice: {found[name]!r} and {value!r}"
+                    )
     for name in set(found).intersection(INPUTS):
         files = [file.parent / part.strip() for part in found[name].split(",") if part.strip()]
         found[name] = ",".join(map(str, paths(f"{file}: {name}", files)))

@@ -98,7 +98,7 @@ def changed(town: Path, options: str) -> Path:
 def test_outputs_of_a_configuration_go_to_the_folder_alone(town: Path, tmp_path: Path) -> None:
     """SUMO writes a file of this output for each step where the option says, whatever the prefix of outputs is."""
     config = changed(town, f'<vtk-output value="{tmp_path}/precious"/>')
-    with pytest.raises(ConfigError, match="vtk-output='.*precious' is not written to output_dir"):
+    with pytest.raises(ConfigError, match=r"vtk-output='.*precious' is not written to output_dir"):
         SumoDrivingEnv(config, ego_vehicle="ego", output_dir=tmp_path / "out")
 
 

@@ -223,7 +223,10 @@ class DQN:
             self.target.load_state_dict(tensors("target"))
         except RuntimeError as error:
             raise ValueError(f"The state belongs to another network: {error}") from error
-        self._optimizer.state[self._weights] = tensors("adam")
+        adam = tensors("adam")
+        if odd := [name for name, value in adam.items() if value.shape not in ((), self._weights.shape)]:
+            raise ValueError(f"adam.{odd[0]} belongs to another network")
+        self._optimizer.state[self._weights] = adam
         self.replay.load_state_dict(part("replay"))
         restore_generator(self._exploration, str(state["exploration"]))
         restore_generator(self._sampling, str(state["sampling"]))

@@ -20,6 +20,7 @@ from agents.checkpoint import CheckpointError, load_arrays, save_arrays
 from agents.dqn import DQN, DQNConfig
 from agents.episodes import COLUMNS, Episodes
 from agents.learner import RESUMED, UNINTERRUPTED, Trained
+from agents.schema import parsed
 from agents.streams import episode_seed
 
 CHECKPOINTS = 20  # a training is checkpointed about so often
@@ -85,7 +86,24 @@ class Training:
         return state
 
     def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
-        """Put back a state."""
+        """Put back a state. Raises ValueError when it cannot be one of this training."""
+        lengths = state["log.length"]
+        fits = {name: np.isfinite(array).all() for name, array in state.items() if array.dtype.kind == "f"}
+        fits["log.mean_speed"] = True  # of environments that tell no speed
+        limits = {
+            "replay.actions": self.agent.actions,
+            "replay.terminated": 2,
+            "updates": self.agent.config.updates + 1,
+        }
+        for name, limit in limits.items():
+            fits[f"dqn.{name}"] = np.isin(state[f"dqn.{name}"], np.arange(limit)).all()
+        for name in COLUMNS:
+            fits[f"log.{name}"] = fits.get(f"log.{name}", True) and len(state[f"log.{name}"]) == len(lengths)
+        fits["log.step"] = np.array_equal(state["log.step"], np.cumsum(lengths))
+        fits["log.episode"] = np.array_equal(state["log.episode"], np.arange(len(lengths)))
+        fits["steps"] = state["steps"] == state["dqn.replay.added"] == lengths.sum()
+        if odd := [name for name, is_good in fits.items() if not is_good]:
+            raise ValueError(f"{', '.join(odd)}: not as this training writes it")
         own = {k.removeprefix("dqn."): v for k, v in state.items() if k.startswith("dqn.")}
         self.agent.load_state_dict(own)
         self.env.rows = {name: state[f"log.{name}"].tolist() for name in COLUMNS}
@@ -163,7 +181,7 @@ def _due(before: int, after: int, interval: int) -> bool:
 def _resume(path: Path, settings: Mapping[str, Any], training: Training) -> None:
     state = load_arrays(path)
     try:
-        stored, wanted = json.loads(str(state["settings"])), json.loads(json.dumps(settings))
+        stored, wanted = parsed(str(state["settings"])), json.loads(json.dumps(settings))
         stored = {"by_hand": False, **dict(stored)}  # which checkpoints of earlier versions do not have
     except (KeyError, ValueError, TypeError):
         raise CheckpointError(

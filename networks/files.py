@@ -55,7 +55,12 @@ def network(net_file: str | Path) -> Network:
     path = Path(os.path.realpath(net_file))
     if not path.is_file():
         raise ValueError(f"there is no SUMO network {path}")
-    return _read(path, path.stat().st_mtime_ns)
+    try:
+        return _read(path, path.stat().st_mtime_ns)
+    except Exception as error:  # of the XML parser, of sumolib, or of lanes that do not fit each other
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
 
 
 def lanes_for(network: Network, edge: str, vehicles: str = CAR) -> list[LaneIndex]:
@@ -120,11 +125,8 @@ def _onward(network: Network, index: LaneIndex) -> set[LaneIndex]:
 
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int) -> Network:
-    try:
-        net, left_hand = read_net(path), _is_left_hand(path)
-        sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
-    except Exception as error:  # of the XML parser, or whatever sumolib stumbles over
-        raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
+    net, left_hand = read_net(path), _is_left_hand(path)
+    sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
     indices: dict[str, LaneIndex] = {}

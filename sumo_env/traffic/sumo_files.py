@@ -69,7 +69,7 @@ def configuration(file: Path) -> dict[str, str]:
     """
     try:
         root = ElementTree.parse(file).getroot()
-    except (OSError, ElementTree.ParseError) as error:
+    except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
         raise ConfigError(f"{file} cannot be read: {error}") from error
     found: dict[str, str] = {}
     for section in root:
@@ -78,7 +78,11 @@ def configuration(file: Path) -> dict[str, str]:
         for item in (section, *section):
             value = item.get("value", item.get("v"))
             if value is not None:
-                found[SYNONYMS.get(item.tag, item.tag)] = value
+                name = SYNONYMS.get(item.tag, item.tag)
+                if found.setdefault(name, value) != value:  # SUMO refuses it as well
+                    raise ConfigError(
+                        f"{file}: the option {name!r} is given twice: {found[name]!r} and {value!r}"
+                    )
     for name in set(found).intersection(INPUTS):
         files = [file.parent / part.strip() for part in found[name].split(",") if part.strip()]
         found[name] = ",".join(map(str, paths(f"{file}: {name}", files)))

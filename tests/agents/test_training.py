@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from agents import training
-from agents.checkpoint import CheckpointError, save_arrays
+from agents.checkpoint import CheckpointError, load_arrays, save_arrays
 from agents.dqn import DQNConfig
 from agents.learner import Trained
 from agents.training import train
@@ -157,6 +157,35 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path, changed: dict[str
         train(road(), **arguments, checkpoint_interval=20, progress=interrupting(SMALL.warm_up + 20))
     with pytest.raises(CheckpointError, match=message):
         train(road(), **(arguments | changed))
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("dqn.online.mean", lambda a: a * np.nan),
+        ("dqn.replay.rewards", lambda a: a + np.inf),
+        ("max_abs_reward", lambda a: a * np.nan),
+        ("log.return", lambda a: a[:-1]),
+        ("log.step", lambda a: a + 1),
+        ("log.episode", lambda a: a * 0),
+        ("steps", lambda a: a + 1),
+        ("dqn.updates", lambda a: a * 999),
+        ("dqn.updates", lambda a: a + 0.5),
+        ("dqn.replay.actions", lambda a: a + 99),
+        ("dqn.replay.terminated", lambda a: a + 7),
+        ("dqn.adam.exp_avg", lambda a: a[:-1]),
+        ("settings", lambda _: np.array("[" * 100_000)),
+    ],
+)
+def test_a_checkpoint_that_cannot_be_is_refused(tmp_path, name: str, change: Any) -> None:
+    file = tmp_path / "checkpoint.npz"
+    train(road(), replace(SMALL, updates=20), 0, checkpoint=file)
+    arrays = load_arrays(file)
+    save_arrays(file, {**arrays, name: change(arrays[name])})
+    with pytest.raises(
+        CheckpointError, match="is no checkpoint" if name == "settings" else name.removeprefix("dqn.")
+    ):
+        train(road(), replace(SMALL, updates=20), 0, checkpoint=file)
 
 
 @pytest.mark.slow

@@ -327,11 +327,6 @@ def price(folder: str, traffic: str, scope: str = ALL) -> Number:
     return number(row(folder, "price", term=traffic, scope=scope), signed=False)
 
 
-def price_limits(folder: str, traffic: str) -> str:
-    """The upper limits task by task: "2.1, 3.8, ..."."""
-    return ", ".join(plain(price(folder, traffic, task).high, 1) for task in tasks(folder))
-
-
 # -- the agents of a study ---------------------------------------------------------------------------------------------
 
 
@@ -411,12 +406,12 @@ def share(found: Count) -> str:
 
 
 def avoidable() -> Iterator[list[str]]:
-    """Lines of a table: how many crashes could still be avoided 2 and 3 s before."""
+    """Lines of a table: the share of crashes that could still be avoided 2 and 3 s before, of both arms."""
     crashes = table("copies/avoidable.parquet")
-    for (task, level, arm), own in crashes.groupby(["task", "level_name", "arm"]):
-        before = own["contact"] - own["last"]
-        shares = [share(count(before <= seconds)) for seconds in (2, 3)]
-        yield [f"{task} {level}, {arm}", str(len(own)), *shares]
+    for (task, level), own in crashes.groupby(["task", "level_name"]):
+        before = (own["contact"] - own["last"]).groupby(own["arm"]).get_group
+        both = [(arm, seconds) for seconds in (2, 3) for arm in ("control", "treatment")]
+        yield [f"{task} {level}", *(share(count(before(arm) <= seconds)) for arm, seconds in both)]
 
 
 @cache
@@ -479,18 +474,17 @@ def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dic
 
 
 def road_units(task: str, unit: str, digits: int) -> str:
-    """The cell of a table: a unit of the road at all doses, and of measured drivers; empty where nothing happens."""
-    values = chosen(table("road-units.parquet"), task=task)[unit]
-    *doses, measured = (plain(value, digits) for value in values)
-    return f"{', '.join(doses)}; **{measured}**".replace(" ", NO_BREAK) if values.any() else ""
+    """Three cells of a table: a unit of the road at dose 0, at dose 1 and among measured drivers."""
+    values = chosen(table("road-units.parquet"), task=task).set_index("traffic")[unit]
+    return " | ".join(plain(values[traffic], digits) for traffic in ("0", "1", "measured"))
 
 
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
     avoidable, change, checks, corruptions, decided, effect, entering, failing, hazard,
-    late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, price_limits,
-    rate, rates, returns, road_units, row, settings, tasks, validation, variant,
+    late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, rate, rates,
+     returns, road_units, row, settings, tasks, validation, variant,
     with_noise_of_episodes,
 ]  # fmt: skip
 

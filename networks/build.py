@@ -1,7 +1,7 @@
 """Build SUMO's networks: `python -m sumo_env.networks.build` rewrites them, `--check` compares.
 
-For each plan in `sumo_env.networks.plans`, writes the plain XML and runs netconvert on it (of the `eclipse-sumo` wheel,
-which only this module needs). In the result, all lane speeds are overwritten, also inside junctions: netconvert limits
+For each plan in `sumo_env.networks.plans`, runs netconvert (of the `eclipse-sumo` wheel, which only this module needs).
+In the result, all lane speeds are overwritten, also inside junctions: netconvert limits
 bends to 8-10 m/s by a comfort rule, while highway-env's vehicles take them at any speed. The header, which contains a
 date and paths of the machine, is dropped, so that building twice gives the same bytes.
 """
@@ -19,7 +19,6 @@ from pathlib import Path
 from sumo_env.networks import plans
 
 HERE = Path(__file__).resolve().parent
-SUFFIXES = (".nod.xml", ".edg.xml", ".con.xml", ".net.xml")
 OPTIONS = (
     "--offset.disable-normalization=true",  # x stays highway-env's x, y its -y
     "--no-turnarounds=true",
@@ -39,15 +38,17 @@ def netconvert() -> Path:
 
 
 def build(plan: plans.Plan, folder: Path) -> Path:
-    """Write the plain XML and the network of `plan` below `folder`; returns the path of the network.
+    """Write the network of `plan` below `folder`; returns its path.
 
     Raises RuntimeError with netconvert's own words when it fails or warns: a warning means that the network
     deviates from the plan.
     """
-    nodes, edges, connections = plan.write(folder)
     net = folder / f"{plan.name}.net.xml"
-    command = [netconvert(), "-n", nodes, "-e", edges, "-x", connections, "-o", net, *OPTIONS]
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
+    net.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        nodes, edges, connections = plan.write(Path(scratch))
+        command = [netconvert(), "-n", nodes, "-e", edges, "-x", connections, "-o", net, *OPTIONS]
+        done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
     if done.returncode or "Warning" in done.stderr:
         raise RuntimeError(f"netconvert on {plan.name}: {done.stderr.strip() or done.stdout.strip()}")
     text = re.sub(r"<!--.*?-->\s*", "", net.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
@@ -59,7 +60,7 @@ def build(plan: plans.Plan, folder: Path) -> Path:
 def stale(folder: Path = HERE) -> list[str]:
     """Names of files below `folder` that differ from what their plan gives now, or are missing."""
     every = plans.all_plans()
-    names = [plan.name + suffix for plan in every for suffix in SUFFIXES]
+    names = [f"{plan.name}.net.xml" for plan in every]
     with tempfile.TemporaryDirectory() as scratch:
         for plan in every:
             build(plan, Path(scratch))

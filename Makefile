@@ -1,4 +1,4 @@
-# make setup | sweep [ARGS=..] | results | pages | check | lint | test | test-fast | test-long | test-arm | docs | lock | dist
+# make setup | sweep [ARGS=..] | results | pages | check | lint | test | test-fast | test-long | test-arm | docs | lock | dist | addresses
 #
 #   make sweep ARGS="--preset smoke --out results/try"
 
@@ -11,7 +11,7 @@ TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup sweep results check lint test test-fast test-long test-arm pages docs lock dist clean
+.PHONY: setup sweep results check lint test test-fast test-long test-arm pages docs lock dist addresses clean
 
 setup: $(STAMP)
 
@@ -79,6 +79,14 @@ dist: setup
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet build twine
 	rm -rf dist && $(BIN)/python -m build --outdir dist
 	$(BIN)/python -m twine check --strict dist/*
+
+# The addresses of the project into all files that name them, once it has any; then: make pages.
+#   make addresses REPOSITORY=https://... DOCUMENTATION=https://...     (without a slash at the end)
+addresses:
+	$(if $(and $(REPOSITORY),$(DOCUMENTATION)),,$(error REPOSITORY and DOCUMENTATION are needed))
+	sed -i -e '/address: /{s|^# address: ||;s|^{# address: \(.*\) #}$$|\1|;s|REPOSITORY|$(REPOSITORY)|g;s|DOCUMENTATION|$(DOCUMENTATION)|g;}' \
+	  -e 's|^DOCUMENTATION = ""|DOCUMENTATION = "$(DOCUMENTATION)"|' \
+	  pyproject.toml CITATION.cff mkdocs.yml docs/templates/README.md.j2 sumo_env/hints.py
 
 # The installed versions as the new constraint file; the head of the old file is kept.
 lock: setup

@@ -172,6 +172,13 @@ def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
     return str(value)
 
 
+def keys_of(config: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """The keys of a configuration that a user may have given. Raises ConfigError where it is no dict."""
+    if not isinstance(config, Mapping | None):
+        raise ConfigError(f"the configuration must be a dict such as {{'vehicles_count': 5}}, not {config!r}")
+    return config or {}
+
+
 def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -> Config:
     """`defaults` updated with `overrides`; top-level keys are replaced as a whole, as in highway-env.
 
@@ -182,11 +189,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     config = copy.deepcopy(known)
     ignored = highway_env()["ignored"].get(task, ())
     for override in overrides:
-        if not isinstance(override, Mapping | None):
-            raise ConfigError(
-                f"the configuration must be a dict such as {{'vehicles_count': 5}}, not {override!r}"
-            )
-        for key, given in (override or {}).items():
+        for key, given in keys_of(override).items():
             value = _plain(given)
             if key in known:
                 config[key] = value

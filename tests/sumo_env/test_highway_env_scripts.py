@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import AddRenderObservation, FlattenObservation, RecordVideo
 
-import sumo_env  # noqa: F401  (in place of highway_env)
+import sumo_env  # in place of highway_env
 from sumo_env.config import ConfigError, ignore
 from sumo_env.envs import HighwayEnv, IntersectionEnv
 
@@ -58,6 +58,11 @@ def test_ppo_trains_on_several_environments_with_a_whole_configuration() -> None
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=8, n_epochs=1)
     model.learn(16)
     envs.close()
+
+
+def test_the_classes_are_found_below_the_package() -> None:
+    """As ``import highway_env`` finds ``highway_env.envs.HighwayEnv``."""
+    assert sumo_env.envs.HighwayEnv is HighwayEnv
 
 
 class OwnReward(HighwayEnv):

@@ -437,18 +437,6 @@ def variant(name: str, task: str) -> dict[str, float]:
     return {"score": rows["return"].mean(), "largest": rows["largest"].max(), **changes}
 
 
-def hazard(second: int, longer: bool) -> str:
-    """The share of the u-turn's drives on the road until then that crash in a second of the test: ".032".
-
-    Args:
-        longer: of agents whose trainings end at 13 s, else at a drawn time.
-    """
-    runs = chosen(table("choice/runs.parquet"), task="u-turn", share=1.0, seed=(900, 901))
-    runs = runs[(runs["variant"] == "half-128-longer") == longer]
-    end = runs["crash_time"].fillna(runs["length"])
-    return short(float((runs["crash_time"][end > second - 1] <= second).mean()))
-
-
 def validation(task: str | None = None) -> dict[str, int]:
     """How many checks of SUMO against highway-env there are (all), and how many are equivalent, within and missed."""
     verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
@@ -482,7 +470,7 @@ def road_units(task: str, unit: str, digits: int) -> str:
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    avoidable, change, checks, corruptions, decided, effect, entering, failing, hazard,
+    avoidable, change, checks, corruptions, decided, effect, entering, failing,
     late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, rate, rates,
      returns, road_units, row, settings, tasks, validation, variant,
     with_noise_of_episodes,

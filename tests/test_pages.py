@@ -248,10 +248,6 @@ def test_the_choice_of_the_learner_is_told_as_it_was_stored() -> None:
     assert found["score"] == pytest.approx(fmean(ended))
     assert found["control"] == pytest.approx(fmean(after) - fmean(before))
     assert found["largest"] == pytest.approx(max(row["largest_q"] / row["q_bound"] for row in own))
-    longer = [row for row in runs if row["variant"] == "half-128-longer" and row["share"] == 1.0]
-    on_road = [row for row in longer if (row["crash_time"] if row["crashed"] else row["length"]) > 8]
-    crashes = [row for row in on_road if row["crashed"] and row["crash_time"] <= 9]
-    assert pages.hazard(9, longer=True) == f"{len(crashes) / len(on_road):.3f}".removeprefix("0")
 
 
 def test_doses_in_units_of_the_road_are_those_of_the_table() -> None:

@@ -217,6 +217,8 @@ def test_shares_of_avoidable_crashes_have_wilsons_intervals() -> None:
     avoided = sum(row["contact"] - row["last"] <= 2 for row in own)
     low, high = proportion_confint(avoided, len(own), method="wilson")
     assert lines["u-turn 3"][0] == f"{avoided / len(own):.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+    earlier = (stored["contact"] - stored["last"] <= 3).groupby(stored["task"]).mean()
+    assert earlier.drop("two-way").min() > 0.9 and earlier["two-way"] == pytest.approx(0.5, abs=0.05)
 
 
 def test_planners_crash_in_regular_traffic_on_the_two_way_road_alone() -> None:

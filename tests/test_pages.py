@@ -308,7 +308,7 @@ def test_where_the_second_study_finds_gains_and_harms() -> None:
 
 
 def test_which_tasks_keep_the_price_below_its_margin() -> None:
-    """docs/study.md says on which tasks mixed training keeps the gain, and on which it has no price."""
+    """docs/study.md says on which tasks mixed training stays within the limits of the plan."""
     rows = pages.analysis("second").price
     holds = {
         traffic: set(rows[(rows["term"] == traffic) & (rows["verdict"] == "holds")]["scope"])

@@ -6,7 +6,7 @@
     python experiments/sweep.py --placebo                                  # control against control
     python experiments/sweep.py --tasks highway --arms control penalty     # a positive control
 
-The same command run again goes on where it was stopped, whatever stopped it; finished cells are never
+The same command run again continues where it was stopped. Finished cells are never
 computed twice. Several sweeps on one directory, also from several machines, share the work.
 
 Exit status: 0 all done, 1 some cells failed (everything else is kept), 2 something has to be put right

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 from gymnasium import spaces
 
-from sumo_env.config import Config, ConfigError
+from sumo_env.config import Config, ConfigError, keys_of
 from sumo_env.driving import DrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import Commands
@@ -44,7 +44,7 @@ def asked(config: Mapping[str, Any] | None, cars: int = 1) -> Asked:
     Raises:
         ConfigError: the number of cars makes no sense.
     """
-    plain = dict(config or {})
+    plain = dict(keys_of(config))
     count = plain.pop("controlled_vehicles", cars)
     if not isinstance(count, int) or count < 1:
         raise ConfigError(f"'controlled_vehicles' must be a whole number from 1 on, not {count!r}")

@@ -114,6 +114,12 @@ class TestReport:
         assert all((directory / link).exists() for link in pages)
         assert not re.search(r"\b(nan|None|inf|undefined)\b|{[{%]", page.text)
 
+    def test_cells_name_their_columns_for_a_phone_which_shows_no_heads(self, directory):
+        text = (directory / "report.html").read_text()
+        heads = {head.strip() for head in re.findall(r"<th>(.*?)</th>", text)}
+        named = re.findall(r'<td data-column="(.*?)"', text)
+        assert named and set(named) <= heads
+
     def test_is_the_same_for_the_same_cells(self, directory):
         names = ("report.html", "appendix.html", "report.md", "analysis.json", "summary.csv", "effects.csv")
         before = [(directory / name).read_bytes() for name in names]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
-from sumo_env.config import Config, ConfigError
+from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.neighbours import neighbours_on
 from sumo_env.networks.roads import highway
@@ -39,12 +39,9 @@ def road(path: Path, seed: int = 0, **config: Any) -> SumoDrivingEnv:
 @pytest.mark.parametrize("seen", [SEEN, {"type": "Kinematics", "vehicles_count": 1}])
 def test_a_task_of_ones_own_may_see_something_else(tmp_path: Path, seen: dict[str, Any]) -> None:
     """A configuration with a table of its own still has the network's features and ranges."""
-
-    class Sees(NetworkTask):
-        defaults: ClassVar[Config] = {**NetworkTask.defaults, "observation": seen}
-
+    sees: Any = type("Sees", (NetworkTask,), {"defaults": {**NetworkTask.defaults, "observation": seen}})
     way = (net(tmp_path), [["ab", "bc"]], ["ab", "bc"])
-    env, usual = DrivingEnv(Sees(*way)), SumoDrivingEnv(*way)
+    env, usual = DrivingEnv(sees(*way)), SumoDrivingEnv(*way)
     assert env.config["observation"].items() >= seen.items()
     assert env.observation_space.shape == ((16,) if seen is SEEN else (1, 22))
     for one in (env, usual):

@@ -22,7 +22,7 @@ from sumo_env.traffic.drivers import LACKING
 from sumo_env.traffic.foreign import UNSORTED, check_files
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
-from sumo_env.traffic.sumo_files import configuration, is_output, paths, seconds
+from sumo_env.traffic.sumo_files import configuration, is_output, paths, plain_path, seconds
 
 Route = Sequence[str]
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
@@ -82,18 +82,19 @@ class NetworkTask(Task):
         """See `sumo_env.env.SumoDrivingEnv`; errors are ValueErrors."""
         (file,) = paths("network", network)
         self.outputs: tuple[tuple[str, str], ...] = ()  # of the configuration, which are off
-        options = {"net-file": str(file)}
         if file.name.endswith(".sumocfg"):
             options = configuration(file)
             self.outputs = tuple((name, value) for name, value in options.items() if is_output(name))
             options = {name: value for name, value in options.items() if not is_output(name)}
-        self.net = options["net-file"]
+        else:
+            options = {"net-file": str(plain_path(file))}
         drawn = self._take_routes(routes, options)
         if added := paths("additional", additional):
             _append(options, "additional-files", added)
         self._options = options
         contents = self._contents = check_files(options)
-        self._driven = files.network(self.net)
+        self._driven = files.network(options["net-file"])
+        self.net = str(self._driven.net_file)
         for name, way in self._drawn:
             files.check_route(self._driven, name, way)
         self._first = None if "begin" in options else contents.first_departure

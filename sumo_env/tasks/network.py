@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -196,7 +196,7 @@ class NetworkTask(Task):
 
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: the ego's way, and what is drawn of the traffic."""
-        models = self._models if config["risk"] else ()
+        models = tuple(self._contents.models.items()) if config["risk"] else ()
         for model in sorted({model for _, model in models} & LACKING.keys()):
             lacks = ", ".join(LACKING[model])
             _warn_once(
@@ -258,10 +258,6 @@ class NetworkTask(Task):
                 f"config key 'traffic_scale' must be [low, high] from 0 on, not {[low, high]!r}"
             )
         return float(stream(seed, "traffic scale").uniform(low, high)) if low < high else float(low)
-
-    @cached_property
-    def _models(self) -> tuple[tuple[str, str], ...]:
-        return tuple(self._contents.models.items())
 
     def _begin(self, config: Config) -> float | None:
         """Where SUMO's clock begins [s]; None where the files say it."""

@@ -34,18 +34,8 @@ def build(plan: plans.Plan, folder: Path) -> Path:
     """
     nodes, edges, connections = plan.write(folder)
     net = folder / f"{plan.name}.net.xml"
-    command = [
-        sumolib.checkBinary("netconvert"),
-        "-n",
-        nodes,
-        "-e",
-        edges,
-        "-x",
-        connections,
-        "-o",
-        net,
-        *OPTIONS,
-    ]
+    netconvert = sumolib.checkBinary("netconvert")
+    command = [netconvert, "-n", nodes, "-e", edges, "-x", connections, "-o", net, *OPTIONS]
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
     if done.returncode or "Warning" in done.stderr:
         raise RuntimeError(f"netconvert on {plan.name}: {done.stderr.strip() or done.stdout.strip()}")

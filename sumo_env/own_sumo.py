@@ -24,7 +24,7 @@ from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.foreign import check_outputs
 from sumo_env.traffic.scenario import Scenario
-from sumo_env.traffic.sumo_files import is_output, plain_path
+from sumo_env.traffic.sumo_files import is_output
 
 
 class OwnSumo(ReadAsHighwayEnv):
@@ -114,7 +114,6 @@ class OwnSumo(ReadAsHighwayEnv):
             raise gym.error.ResetNeeded("call reset() of a SumoDrivingEnv before sumo_command")
         settings = file_settings(self.scenario, self._options)
         options = dict(settings.options)
-        options["net-file"] = str(plain_path(Path(options["net-file"])))
         if settings.elements:  # drawn traffic, in a file that is left to the user
             with tempfile.NamedTemporaryFile("w", suffix=".add.xml", delete=False) as written:
                 written.write(settings.elements)

@@ -64,7 +64,7 @@ class SumoSimulator:
                 self._session.forget()
                 self._check_window(error)
                 refusal = error
-        files = "" if scenario.traffic is None else f" of {dict(scenario.traffic.options)['net-file']}"
+        files = "" if scenario.traffic is None else f" of {scenario.net}"
         raise SimulatorError(
             f"SUMO cannot begin this episode{files} ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it "
             f"says is above; was it given wrong files, options ({' '.join(self._options) or 'none'}) or vehicle types?"

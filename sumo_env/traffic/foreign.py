@@ -165,10 +165,8 @@ def check_files(options: Mapping[str, str]) -> Contents:
                 raise ConfigError(f"{option}={value!r} is no regular file: SUMO would wait for it")
     contents = Contents()
     for option in INPUTS:
-        is_network = option == "net-file"  # one file, whose name may have commas; lists have links without
-        given = options.get(option, "")
-        for name in filter(None, [given] if is_network else given.split(",")):
-            found = _check(Path(name), is_network, ())
+        for name in filter(None, options.get(option, "").split(",")):
+            found = _check(Path(name), option == "net-file", ())
             if option in ("additional-files", "route-files"):
                 contents.add(found, option == "route-files" and options.get("route-steps") != "0")
     return contents

@@ -357,6 +357,21 @@ def test_files_may_be_anywhere(town: Path, tmp_path: Path) -> None:
     assert_same(seen(SumoDrivingEnv(odd / "grid.net.xml", route, ego_vehicle="ego"), 0), expected)
 
 
+def test_a_worker_leaves_no_links_to_files_behind(
+    town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odd, temporary = shutil.copytree(town.parent, tmp_path / "a, b"), tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))  # of the worker: this process knows its own already
+    envs = [SumoDrivingEnv(odd / town.name, ego_vehicle="ego") for _ in range(2)]
+    for env in envs:
+        env.reset(seed=0)
+    assert list(temporary.iterdir())
+    for env in envs:
+        env.close()
+    assert not list(temporary.iterdir())
+
+
 def test_detectors_write_where_all_outputs_go(tmp_path: Path) -> None:
     """Nowhere, or into the folder of the episode; what the user names is where the user says."""
     config = written(tmp_path / "town", "additional")

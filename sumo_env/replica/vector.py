@@ -5,8 +5,9 @@ envs = gym.make_vec("sumo_env:replica/u-turn-v0", num_envs=64, scenarios="seeded
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
 
@@ -30,6 +31,7 @@ from sumo_env.tasks import TASKS, VARIANTS
 from sumo_env.tasks.base import nearest_index
 
 RESULTS = kernels.OUTCOME.names or ()
+PATIENCE = 1e-5  # [s] until it is looked again whether all threads have begun
 ALONE = 'gym.make_vec(..., vectorization_mode="sync") has environments that can'
 
 
@@ -88,6 +90,8 @@ class ReplicaVectorEnv(VectorEnv):
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)
         self._generators: list[Any] = [None] * num_envs  # of numpy; None before a reset
+        # episodes drawn ahead, with the state of the generator before
+        self._ahead: dict[int, tuple[Start, Any]] = {}
         self._over = np.zeros(num_envs, np.bool_)
         self._law: Any = None  # a `Law`, from the first reset on
         self._draws: seeded.Draws | None = None  # where compiled code draws the episodes
@@ -167,8 +171,11 @@ class ReplicaVectorEnv(VectorEnv):
 
     def _reset_single(self, row: int, seed: int | None, options: dict[str, Any]) -> Start:
         """The episode that an environment begins at a reset, as a single one does."""
-        single, config = self._single, self._single.config
-        single._np_random = self._generators[row]
+        single, generator, config = self._single, self._generators[row], self._single.config
+        _, before = self._ahead.pop(row, (None, None))
+        if generator is not None and before is not None:
+            generator.bit_generator.state = before
+        single._np_random = generator
         single.reset(seed=seed, options=options)
         self._generators[row] = single.np_random
         spaces = single.observation_space, single.action_space
@@ -181,13 +188,33 @@ class ReplicaVectorEnv(VectorEnv):
         """Begin the next episodes of these environments."""
         if self._draws is None:
             for row in rows.tolist():
-                self._single._np_random = self._generators[row]
-                self._begin(row, self._single.begin())
+                self._begin(row, self._next(row))
             return
         seeds = np.array([self._generators[row].integers(2**31) for row in rows.tolist()], np.int64)
         done = seeded.begin(self._draws, self._batch, rows, seeds)
         for row, seed in zip(rows[~done].tolist(), seeds[~done].tolist(), strict=True):
             self._begin(row, self._single.replica.load(self._single.task.scenario(self._single._law, seed)))
+
+    def _next(self, row: int) -> Start:
+        """The episode that an environment begins after the end of another."""
+        if self._single.is_stock:
+            return self._draw(row)
+        if row not in self._ahead:
+            self._draw_ahead()
+        return self._ahead.pop(row)[0]
+
+    def _draw_ahead(self, parts: Sequence[Future[None]] = ()) -> None:
+        """Draw the next seeded episode of every environment that has none, until these parts of a step are done."""
+        for row in range(self.num_envs):
+            if parts and parts[-1].done():  # the others are about to be
+                break
+            if row not in self._ahead:
+                before = self._generators[row].bit_generator.state
+                self._ahead[row] = self._draw(row), before
+
+    def _draw(self, row: int) -> Start:
+        self._single._np_random = self._generators[row]
+        return self._single.begin()
 
     def _made_law(self) -> Law:
         single, replica, names = self._single, self._single.replica, self._single.actions.values()
@@ -227,7 +254,7 @@ class ReplicaVectorEnv(VectorEnv):
     # -- steps ---------------------------------------------------------------------------------------------
 
     def _drive(self, actions: NDArray[np.int64]) -> None:
-        """`batch.drive` by all threads."""
+        """`batch.drive` by all threads; meanwhile seeded episodes are drawn ahead."""
         law, table = self._law, self._batch
         if self._pool is None:
             kernels.drive(law, table, actions, self._controls, 0, self.num_envs)
@@ -235,6 +262,10 @@ class ReplicaVectorEnv(VectorEnv):
             ends = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
             of_all = law, table, actions, self._controls
             parts = [self._pool.submit(kernels.drive, *of_all, *part) for part in pairwise(ends)]
+            if not self._single.is_stock and self._draws is None:
+                while not all(part.running() or part.done() for part in parts):
+                    time.sleep(PATIENCE)  # while Python draws, no thread could begin
+                self._draw_ahead(parts)
             for part in parts:
                 part.result()
         if self._single.draws_arrivals:

@@ -60,7 +60,7 @@ def drive_both(envs: tuple[Any, Any], steps: int, seed: int) -> int:
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 @pytest.mark.parametrize(("task", "threads"), [("two-way", 1), ("two-way", 2), ("intersection", 2)])
 def test_autoreset_and_threads(mode: str, task: str, threads: int) -> None:
-    """A reset without a seed goes on with the generators."""
+    """A reset without a seed goes on with the generators, whatever was drawn ahead, as at the intersection."""
     envs = pair(task, mode, threads, scenarios="seeded", config={"risk": 1.0})
     assert_equal(*(env.reset(seed=[5, 1, 8, 1]) for env in envs))
     drive_both(envs, 12, seed=0)

@@ -227,7 +227,7 @@ def test_a_subclass_of_the_intersection_tells_more() -> None:
 @pytest.mark.parametrize("road", ["highway", "roundabout", "intersection"])
 def test_one_configuration_serves_several_roads(road: str, recwarn: pytest.WarningsRecorder) -> None:
     """Keys of other roads and of other versions, also within an observation and an action; the latest id first."""
-    config = {
+    config: dict[str, Any] = {
         "observation": {"type": "Kinematics", "vehicles_count": 8, "absolute": True, "normalize": False,
                         "features_range": {"x": [-120, 120]}, "see_ego": True},
         "action": {"type": "DiscreteMetaAction", "actions": ["IDLE", "FASTER", "SLOWER"]},
@@ -285,9 +285,9 @@ class Overtaking(gym.Wrapper[Any, Any, Any, Any]):
     """Looks for the vehicle ahead itself, and walks over the lanes by their numbers."""
 
     def step(self, action: Any) -> Any:
-        observation, reward, terminated, truncated, info = self.env.step(action)
+        observation, paid, terminated, truncated, info = self.env.step(action)
         inner: Any = self.env.unwrapped
-        ego = inner.vehicle
+        ego, reward = inner.vehicle, float(paid)
         start, end, own = ego.lane_index
         lanes = [inner.road.network.get_lane((start, end, k)) for k in range(inner.config["lanes_count"])]
         ahead = [v for v in inner.road.vehicles if v.lane_index[2] == own and v.position[0] > ego.position[0]]

@@ -157,7 +157,7 @@ class TestAnswer:
         [line] = [
             line for line in text.split("\n") if "Treated agents crash less in risky traffic in" in line
         ]
-        assert fewer > 0 and [int(n) for n in re.findall(r"\d+", line)][:3] == [fewer, 3, 0]
+        assert fewer > 0 and f"in risky traffic in {fewer} of 3 settings and more in none." in line
 
 
 @pytest.mark.usefixtures("words_alone")

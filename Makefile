@@ -1,4 +1,4 @@
-# make setup | sweep [ARGS=..] | check | lint | test | test-fast | test-long | test-arm | pages | docs | lock
+# make setup | sweep [ARGS=..] | results | pages | check | lint | test | test-fast | test-long | test-arm | docs | lock | dist | addresses
 #
 #   make sweep ARGS="--preset smoke --out results/try"
 
@@ -11,7 +11,7 @@ TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup sweep check lint test test-fast test-long test-arm pages docs lock clean
+.PHONY: setup sweep results check lint test test-fast test-long test-arm pages docs lock dist addresses clean
 
 setup: $(STAMP)
 
@@ -29,6 +29,15 @@ $(STAMP): pyproject.toml requirements.lock
 
 sweep: setup
 	$(BIN)/python experiments/sweep.py $(ARGS)
+
+# Analyses, reports and pages again, from the stored test episodes. All of these are in the repository. ARCHIVE=ADDRESS
+# first unpacks an archive of more folders of results. To train agents again: the commands in the folders' PUBLISHED.md.
+FOLDERS ?= $(patsubst %/packed.json,%,$(wildcard results/*/packed.json))
+ARCHIVE ?=
+results: setup
+	$(if $(ARCHIVE),curl --fail --silent --show-error --location '$(ARCHIVE)' | tar -xz results)
+	for folder in $(FOLDERS); do $(BIN)/python experiments/report.py $$folder || exit 1; done
+	$(BIN)/python docs/pages.py
 
 # What a change has to pass.
 check: lint test docs
@@ -64,6 +73,20 @@ docs: setup
 	  --config-settings editable_mode=compat -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "open site/index.html"
+
+# The wheel and the source distribution in dist/, checked.
+dist: setup
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet build twine
+	rm -rf dist && $(BIN)/python -m build --outdir dist
+	$(BIN)/python -m twine check --strict dist/*
+
+# The addresses of the project into all files that name them, once it has any; then: make pages.
+#   make addresses REPOSITORY=https://... DOCUMENTATION=https://...     (without a slash at the end)
+addresses:
+	$(if $(and $(REPOSITORY),$(DOCUMENTATION)),,$(error REPOSITORY and DOCUMENTATION are needed))
+	sed -i -e '/address: /{s|^# address: ||;s|^{# address: \(.*\) #}$$|\1|;s|REPOSITORY|$(REPOSITORY)|g;s|DOCUMENTATION|$(DOCUMENTATION)|g;}' \
+	  -e 's|^DOCUMENTATION = ""|DOCUMENTATION = "$(DOCUMENTATION)"|' \
+	  pyproject.toml CITATION.cff mkdocs.yml docs/templates/README.md.j2 sumo_env/hints.py
 
 # The installed versions as the new constraint file; the head of the old file is kept.
 lock: setup

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -20,7 +19,6 @@ class Layers:
     def __init__(self, module: nn.Module, linear_end: bool = False) -> None:
         layers = [part for part in module.modules() if isinstance(part, nn.Linear)]
         self._layers = [(layer, layer.weight.t(), layer.bias) for layer in layers]
-        self._numbers = [[p.detach().numpy().T for p in layer.parameters()] for layer in layers]
         self._rectified = [True] * (len(layers) - 1) + [not linear_end]
         self._values: list[Tensor] = []  # of the last call: the inputs of all layers, and the output
 
@@ -30,16 +28,6 @@ class Layers:
         for (_, weight, bias), is_rectified in zip(self._layers, self._rectified, strict=True):
             x = x @ weight if bias is None else torch.addmm(bias, x, weight)
             self._values.append(x.relu_() if is_rectified else x)
-        return x
-
-    def numbers(self, x: np.ndarray) -> np.ndarray:
-        """The same of an array, for which numpy is faster."""
-        for (weight, *bias), is_rectified in zip(self._numbers, self._rectified, strict=True):
-            x = x @ weight
-            if bias:
-                x += bias[0]
-            if is_rectified:
-                np.maximum(x, 0.0, out=x)
         return x
 
     def backward(self, gradient: Tensor, onwards: bool = True) -> Tensor:
@@ -70,21 +58,6 @@ class ByHand:
         self._query, self._output = Layers(network.query, True), Layers(network.output, True)
         self._base = Layers(decision.base)
         self._value, self._advantage = Layers(decision.value, True), Layers(decision.advantage, True)
-
-    def one(self, observation: np.ndarray) -> np.ndarray:
-        """Q-values (actions,) of one observation (vehicles, features)."""
-        mean, deviation = self._module.mean.numpy(), self._module.deviation.numpy()
-        there = (observation != 0).any(1)
-        x = ((observation - mean) / deviation * there[:, None]).astype(np.float32)
-        there[0] = True
-        ego = self._ego.numbers(x[0])
-        vehicles = np.vstack([ego, self._others.numbers(x[there][1:])])
-        scores = self._query.numbers(ego).reshape(self._heads, -1) @ vehicles.T / math.sqrt(len(ego))
-        weights = np.exp(scores - scores.max(1, keepdims=True))
-        answer = weights / weights.sum(1, keepdims=True) @ vehicles
-        base = self._base.numbers((self._output.numbers(answer.ravel()) + ego) / 2)
-        advantage = self._advantage.numbers(base)
-        return self._value.numbers(base) + advantage - advantage.mean()
 
     def standardised(self, x: Tensor) -> Tensor:
         """Observations (n, vehicles, features) as `Standardised` shows them to its network."""

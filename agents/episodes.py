@@ -9,16 +9,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-# One row a training episode. step: environment steps of the training after the episode; return: undiscounted;
-# mean_speed [m/s] is NaN when the environment reports no speed.
+# One row a training episode. step: environment steps of the training after the episode; return: undiscounted.
 COLUMNS = {
     "episode": np.int64,
     "step": np.int64,
     "return": np.float64,
     "length": np.int64,
     "crashed": np.bool_,
-    "arrived": np.bool_,
-    "mean_speed": np.float64,
 }
 
 
@@ -42,7 +39,6 @@ class Episodes(gym.Wrapper[Any, Any, Any, Any]):
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
         """Begin an episode."""
         self._rewards: list[float] = []
-        self._speeds: list[float] = []
         return self.env.reset(**options)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -52,7 +48,6 @@ class Episodes(gym.Wrapper[Any, Any, Any, Any]):
         if not math.isfinite(reward):
             raise ValueError(f"the reward of training step {self.steps} is {reward}, not a finite number")
         self._rewards.append(float(reward))
-        self._speeds.append(float(info.get("speed", np.nan)))
         if terminated or truncated:
             row = {
                 "episode": len(self.rows["episode"]),
@@ -60,8 +55,6 @@ class Episodes(gym.Wrapper[Any, Any, Any, Any]):
                 "return": sum(self._rewards),
                 "length": len(self._rewards),
                 "crashed": bool(info.get("crashed", False)),
-                "arrived": bool(info.get("arrived", False)),
-                "mean_speed": float(np.mean(self._speeds)),
             }
             for name, value in row.items():
                 self.rows[name].append(value)

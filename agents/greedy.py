@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,25 +10,21 @@ import numpy as np
 import torch
 from torch import nn
 
-from agents.by_hand import ByHand
 from agents.checkpoint import CheckpointError, load_arrays, save_arrays
 
 
 class Greedy:
     """The action of highest Q (the lowest number on a tie).
 
-    ``network``: on the CPU, maps (1, ...) to (1, actions). ``by_hand``: see `DQNConfig`.
+    ``network``: on the CPU, maps (1, ...) to (1, actions).
     """
 
-    def __init__(self, network: nn.Module, by_hand: bool = False) -> None:
+    def __init__(self, network: nn.Module) -> None:
         self.network = network.eval()
-        self._by_hand = ByHand(network) if by_hand else None
 
     @torch.inference_mode()
     def q(self, observation: np.ndarray) -> np.ndarray:
         """Q of every action, (actions,), for one observation."""
-        if self._by_hand:
-            return self._by_hand.one(observation)
         return self.network(torch.as_tensor(observation, dtype=torch.float32)[None])[0].numpy()
 
     def act(self, observation: np.ndarray) -> int:
@@ -39,25 +34,17 @@ class Greedy:
     def reset(self, seed: int | None = None) -> None:
         """Nothing to do: a greedy policy has no state."""
 
-    @property
-    def sha256(self) -> str:
-        """Fingerprint of the weights."""
-        digest = hashlib.sha256()
-        for name, value in self.network.state_dict().items():
-            digest.update(name.encode() + value.numpy().tobytes())
-        return digest.hexdigest()
-
     def save(self, path: str | Path) -> None:
         """Write the weights as an npz, an array each, by their names in the network."""
         save_arrays(path, {name: value.numpy() for name, value in self.network.state_dict().items()})
 
     @classmethod
-    def load(cls, path: str | Path, network: nn.Module, by_hand: bool = False) -> Greedy:
+    def load(cls, path: str | Path, network: nn.Module) -> Greedy:
         """Read weights written by :meth:`save` into a network of the same kind.
 
         Raises ValueError when they belong to another one, CheckpointError when the file is damaged.
         """
-        return cls(with_weights(network, load_arrays(path), path), by_hand)
+        return cls(with_weights(network, load_arrays(path), path))
 
 
 def with_weights(network: nn.Module, arrays: Mapping[str, np.ndarray], path: str | Path) -> nn.Module:

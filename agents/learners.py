@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,40 +15,22 @@ from agents.plugins import named
 from agents.stable import DQNSettings, PPOSettings, StableBaselines3
 from agents.training import train
 
-CHECKPOINTS = 20  # a training is checkpointed about so often
-MIN_INTERVAL = 100  # updates between two checkpoints at least
-
 
 class DoubleDQN:
     """This project's double DQN (`agents.dqn`)."""
 
     Settings = DQNConfig
 
-    def train(
-        self,
-        make_env: MakeEnv,
-        settings: DQNConfig,
-        seed: int,
-        *,
-        checkpoint: Path | None = None,
-        progress: Callable[[int], None] = lambda _: None,
-    ) -> Trained:
+    def train(self, make_env: MakeEnv, settings: DQNConfig, seed: int, **kept: Any) -> Trained:
         """See `Learner`."""
-        return train(
-            make_env(),
-            settings,
-            seed,
-            checkpoint=checkpoint,
-            checkpoint_interval=max(settings.updates // CHECKPOINTS, MIN_INTERVAL),
-            progress=progress,
-        )
+        return train(make_env(), settings, seed, **kept)
 
     def load(self, path: Path, settings: DQNConfig, env: gym.Env[Any, Any]) -> Greedy:
         """See `Learner`."""
         space: Any = env.observation_space
         actions: Any = env.action_space
         network = network_class(settings.network)(space, int(actions.n))
-        return Greedy.load(path, Standardised(network, space), settings.by_hand)
+        return Greedy.load(path, Standardised(network, space))
 
 
 LEARNERS: dict[str, Learner] = {

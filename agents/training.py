@@ -20,7 +20,11 @@ from agents.checkpoint import CheckpointError, load_arrays, save_arrays
 from agents.dqn import DQN, DQNConfig
 from agents.episodes import COLUMNS, Episodes
 from agents.learner import RESUMED, UNINTERRUPTED, Trained
+from agents.schema import parsed
 from agents.streams import episode_seed
+
+CHECKPOINTS = 20  # a training is checkpointed about so often
+MIN_INTERVAL = 100  # updates between two checkpoints at least
 
 
 class Training:
@@ -59,11 +63,6 @@ class Training:
         size = np.abs(self.agent.q(self.probe)).max(1)
         self.probe_q.append([self.agent.updates, float(size.mean()), float(size.max())])
 
-    def log(self) -> dict[str, np.ndarray]:
-        """The training episodes, an array a column: those of `Episodes`, and epsilon after the episode."""
-        epsilon = [self.agent.config.epsilon(step) for step in self.env.rows["step"]]
-        return {**self.env.columns(), "epsilon": np.array(epsilon, np.float64)}
-
     def trained(self, interruption: str) -> Trained:
         """What is left when it is over."""
         record = {
@@ -73,12 +72,12 @@ class Training:
             "probe_q": self.probe_q,
             "q_bound": self.max_abs_reward / (1.0 - self.agent.config.gamma),
         }
-        return Trained(self.agent.policy(), self.log(), record)
+        return Trained(self.agent.policy(), self.env.columns(), record)
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Everything that the future depends on, as arrays."""
         state = {f"dqn.{name}": array for name, array in self.agent.state_dict().items()}
-        state |= {f"log.{name}": column for name, column in self.log().items()}
+        state |= {f"log.{name}": column for name, column in self.env.columns().items()}
         state["looks"] = np.array(self.probe_q, dtype=float).reshape(-1, 3)
         state["steps"] = np.array(self.env.steps)
         state["max_abs_reward"] = np.array(self.max_abs_reward)
@@ -87,7 +86,24 @@ class Training:
         return state
 
     def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
-        """Put back a state."""
+        """Put back a state. Raises ValueError when it cannot be one of this training."""
+        lengths = state["log.length"]
+        fits = {name: np.isfinite(array).all() for name, array in state.items() if array.dtype.kind == "f"}
+        fits["log.mean_speed"] = True  # of environments that tell no speed
+        limits = {
+            "replay.actions": self.agent.actions,
+            "replay.terminated": 2,
+            "updates": self.agent.config.updates + 1,
+        }
+        for name, limit in limits.items():
+            fits[f"dqn.{name}"] = np.isin(state[f"dqn.{name}"], np.arange(limit)).all()
+        for name in COLUMNS:
+            fits[f"log.{name}"] = fits.get(f"log.{name}", True) and len(state[f"log.{name}"]) == len(lengths)
+        fits["log.step"] = np.array_equal(state["log.step"], np.cumsum(lengths))
+        fits["log.episode"] = np.array_equal(state["log.episode"], np.arange(len(lengths)))
+        fits["steps"] = state["steps"] == state["dqn.replay.added"] == lengths.sum()
+        if odd := [name for name, is_good in fits.items() if not is_good]:
+            raise ValueError(f"{', '.join(odd)}: not as this training writes it")
         own = {k.removeprefix("dqn."): v for k, v in state.items() if k.startswith("dqn.")}
         self.agent.load_state_dict(own)
         self.env.rows = {name: state[f"log.{name}"].tolist() for name in COLUMNS}
@@ -104,7 +120,7 @@ def train(
     seed: int,
     *,
     checkpoint: Path | None = None,
-    checkpoint_interval: int = 1000,
+    checkpoint_interval: int | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Trained:
     """Train an agent on ``env`` for ``config.updates`` updates.
@@ -114,20 +130,20 @@ def train(
     summation, hence the bits, depends on the number of threads, and processes do the parallel work.
 
     Args:
-        env: observations are boxes of any shape, actions ``Discrete``; ``info`` may hold speed [m/s], crashed
-            and arrived, which are logged. Every episode begins with ``reset(seed=...)``.
+        env: observations are boxes of any shape, actions ``Discrete``; ``info`` may hold crashed, which
+            is logged. Every episode begins with ``reset(seed=...)``.
         config: the settings.
         seed: agents with one seed start with equal weights and meet the same scenarios.
         checkpoint: file to write the state to and, if it is there, to go on from. It is left in place.
-        checkpoint_interval: updates between two checkpoints; there is one at the end in any case.
+        checkpoint_interval: updates between two checkpoints, by default a twentieth of them all; there is one at the
+            end in any case.
         progress: called with environment steps after every block of updates; what it raises ends the training.
 
     Raises:
         ValueError: spaces that a DQN cannot handle, or an unknown network.
         CheckpointError: the checkpoint is damaged or was written by a training with other settings.
     """
-    if checkpoint_interval < 1:
-        raise ValueError(f"checkpoint_interval must be at least 1, got {checkpoint_interval}.")
+    interval = checkpoint_interval or max(config.updates // CHECKPOINTS, MIN_INTERVAL)
     torch.set_num_threads(1)
     agent = DQN(config, env.observation_space, env.action_space, seed)
     training, interruption = Training(agent, env), UNINTERRUPTED
@@ -152,7 +168,7 @@ def train(
             agent.update()
         if _due(updates, done, config.probe_interval) or done == config.updates:
             training.watch()
-        if checkpoint is not None and (_due(updates, done, checkpoint_interval) or done == config.updates):
+        if checkpoint is not None and (_due(updates, done, interval) or done == config.updates):
             save_arrays(checkpoint, {"settings": np.array(json.dumps(settings)), **training.state_dict()})
         progress(config.warm_up + config.steps_per_update * done)
     return training.trained(interruption)
@@ -165,7 +181,7 @@ def _due(before: int, after: int, interval: int) -> bool:
 def _resume(path: Path, settings: Mapping[str, Any], training: Training) -> None:
     state = load_arrays(path)
     try:
-        stored, wanted = json.loads(str(state["settings"])), json.loads(json.dumps(settings))
+        stored, wanted = parsed(str(state["settings"])), json.loads(json.dumps(settings))
         stored = {"by_hand": False, **dict(stored)}  # which checkpoints of earlier versions do not have
     except (KeyError, ValueError, TypeError):
         raise CheckpointError(

@@ -32,7 +32,7 @@ from experiments.reporting.tables import main
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
 from sumo_env.networks.lanes import Point
-from sumo_env.networks.mapping import TASKS, Network, network
+from sumo_env.networks.mapping import Network, network
 
 IMAGES = ROOT / "docs" / "img"
 
@@ -41,13 +41,11 @@ IMAGES = ROOT / "docs" / "img"
 Window = tuple[float, float, float, float]
 # task -> windows (x from, x to, y from, y to) [m], highway-env's coordinates; the second one is a close-up
 WINDOWS: dict[str, list[Window]] = {
-    "highway": [(-60.0, 260.0, -12.0, 24.0)],
-    "two-way": [(-60.0, 260.0, -14.0, 18.0)],
     "roundabout": [(-75.0, 75.0, -75.0, 75.0), (-4.0, 30.0, 4.0, 38.0)],
     "intersection": [(-50.0, 50.0, -50.0, 50.0), (-14.0, 14.0, -14.0, 14.0)],
     "u-turn": [(-30.0, 160.0, -12.0, 60.0), (118.0, 158.0, 36.0, 52.0)],
 }
-HEIGHTS = {"highway": 2.4, "two-way": 2.2, "u-turn": 3.0}  # [inch]
+HEIGHTS = {"u-turn": 3.0}  # [inch]
 
 
 def shapes(net: Network) -> dict[str, np.ndarray]:
@@ -101,21 +99,18 @@ def node(axes: Axes, name: str, place: Point, window: Window) -> None:
 
 
 def networks() -> None:
-    """One picture for each task."""
+    """One picture for each road that is not straight."""
     (IMAGES / "networks").mkdir(parents=True, exist_ok=True)
     legend = [
         Line2D([], [], color="#3c444c", lw=2.6, label="SUMO lane"),
         Line2D([], [], color="#c65d00", lw=2.6, label="SUMO lane inside a junction"),
         Line2D([], [], color="#49b6ff", lw=1.2, ls="--", label="highway-env lane, with its nodes"),
     ]
-    for task in TASKS:
-        windows = WINDOWS[task]
+    for task, windows in WINDOWS.items():
         size = (9, HEIGHTS.get(task, 4.9))
         figure, axes = plt.subplots(1, len(windows), figsize=size, squeeze=False, layout="constrained")
         for axis, window in zip(axes[0], windows, strict=True):
             draw_network(axis, network(task), window)
-        if len(windows) == 1:  # stretched across, or nothing would be seen of the lanes
-            axes[0, 0].set_aspect("auto")
         figure.legend(handles=legend, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
         figure.savefig(IMAGES / "networks" / f"{task}.png", dpi=110, metadata={"Software": None})
         plt.close(figure)

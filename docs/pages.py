@@ -327,11 +327,6 @@ def price(folder: str, traffic: str, scope: str = ALL) -> Number:
     return number(row(folder, "price", term=traffic, scope=scope), signed=False)
 
 
-def price_limits(folder: str, traffic: str) -> str:
-    """The upper limits task by task: "2.1, 3.8, ..."."""
-    return ", ".join(plain(price(folder, traffic, task).high, 1) for task in tasks(folder))
-
-
 # -- the agents of a study ---------------------------------------------------------------------------------------------
 
 
@@ -411,12 +406,14 @@ def share(found: Count) -> str:
 
 
 def avoidable() -> Iterator[list[str]]:
-    """Lines of a table: how many crashes could still be avoided 2 and 3 s before."""
+    """Lines of a table: the share of crashes of both arms that could still be avoided 2 s before."""
     crashes = table("copies/avoidable.parquet")
-    for (task, level, arm), own in crashes.groupby(["task", "level_name", "arm"]):
-        before = own["contact"] - own["last"]
-        shares = [share(count(before <= seconds)) for seconds in (2, 3)]
-        yield [f"{task} {level}, {arm}", str(len(own)), *shares]
+    for (task, level), own in crashes.groupby(["task", "level_name"]):
+        late = own["contact"] - own["last"] <= 2
+        yield [
+            f"{task} {level}",
+            *(share(count(late[own["arm"] == arm])) for arm in ("control", "treatment")),
+        ]
 
 
 @cache
@@ -440,18 +437,6 @@ def variant(name: str, task: str) -> dict[str, float]:
     rows = choice(900, 901).xs((task, name), level=("task", "variant"))
     changes = rows.groupby("arm")["change"].mean()
     return {"score": rows["return"].mean(), "largest": rows["largest"].max(), **changes}
-
-
-def hazard(second: int, longer: bool) -> str:
-    """The share of the u-turn's drives on the road until then that crash in a second of the test: ".032".
-
-    Args:
-        longer: of agents whose trainings end at 13 s, else at a drawn time.
-    """
-    runs = chosen(table("choice/runs.parquet"), task="u-turn", share=1.0, seed=(900, 901))
-    runs = runs[(runs["variant"] == "half-128-longer") == longer]
-    end = runs["crash_time"].fillna(runs["length"])
-    return short(float((runs["crash_time"][end > second - 1] <= second).mean()))
 
 
 def validation(task: str | None = None) -> dict[str, int]:
@@ -479,18 +464,17 @@ def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dic
 
 
 def road_units(task: str, unit: str, digits: int) -> str:
-    """The cell of a table: a unit of the road at all doses, and of measured drivers; empty where nothing happens."""
-    values = chosen(table("road-units.parquet"), task=task)[unit]
-    *doses, measured = (plain(value, digits) for value in values)
-    return f"{', '.join(doses)}; **{measured}**".replace(" ", NO_BREAK) if values.any() else ""
+    """Three cells of a table: a unit of the road at dose 0, at dose 1 and among measured drivers."""
+    values = chosen(table("road-units.parquet"), task=task).set_index("traffic")[unit]
+    return " | ".join(plain(values[traffic], digits) for traffic in ("0", "1", "measured"))
 
 
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    avoidable, change, checks, corruptions, decided, effect, entering, failing, hazard,
-    late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, price_limits,
-    rate, rates, returns, road_units, row, settings, tasks, validation, variant,
+    avoidable, change, checks, corruptions, decided, effect, entering, failing,
+    late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, rate, rates,
+     returns, road_units, row, settings, tasks, validation, variant,
     with_noise_of_episodes,
 ]  # fmt: skip
 

@@ -3,9 +3,9 @@
     python experiments/benchmark.py --out results/benchmark            # long: two tasks took over 8 minutes
     python experiments/benchmark.py --out results/benchmark --quick       # minutes, less certain
 
-Writes benchmark.json and prints a table for each part. What is compared takes turns in one run, each in a process of
-its own and never two at a time, and medians over the turns are taken, because a shared machine is never the same for
-long. Rates are in processor time of one core. docs/performance.md says how to read them.
+Writes benchmark.json and prints a table for each part. The programs take turns, one process at a time, because a shared
+machine is never equally fast for long. Medians over the turns are taken. Rates are in processor time of one core.
+docs/performance.md says how to read them.
 """
 
 from __future__ import annotations

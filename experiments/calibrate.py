@@ -3,17 +3,15 @@
     python experiments/calibrate.py --out results/calibration      # hours
     python experiments/calibrate.py --out results/calibration --tasks u-turn --trials 5 --scenarios 10
 
-The same command run again goes on where it was stopped: what is driven is stored, and a search of the same scenarios
-takes the same way. There are three parts:
+The same command run again continues where it was stopped. There are three parts:
 
 drivers   searches the calibrated settings of SUMO's drivers (`Calibration`)
-risk      searches the rates of risk events (`RiskRates`) and the ranges of the drivers' parameters (`RiskRanges`; of a
-          range of factors the lower end)
+risk      searches the rates of risk events (`RiskRates`) and the lower ends of the ranges of the drivers' parameters
+          (`RiskRanges`)
 doses     measures how often egos crash at every dose in both simulators, with and without events
 
-The first two write the present and the found settings, judged on the scenarios of validation. No file of the package is
-changed: settings are copied into the task's file by hand.
-Writes calibration.json and doses.csv.
+The first two compare the present settings with those that were found, on the scenarios of validation. They change no
+file of the package: copy the settings into the task's file by hand. Writes calibration.json and doses.csv.
 """
 
 from __future__ import annotations
@@ -70,7 +68,7 @@ class Options:
     trials: int = 40
     """Evaluations of each search."""
     scenarios: int = 100
-    """Scenarios of each level for an evaluation, and as many others on which the outcome is judged."""
+    """Scenarios of each level for an evaluation. The outcome is judged on as many others."""
     workers: int = 2
     """Number of processes."""
 

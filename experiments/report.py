@@ -48,7 +48,7 @@ class Options:
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
     others: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")] = ()
-    """Further ones, whose effects in the settings of all are shown side by side."""
+    """Other directories. Effects in the settings that all of them have are shown side by side."""
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     pack: bool = False

@@ -6,7 +6,7 @@
     python experiments/sweep.py --placebo                                  # control against control
     python experiments/sweep.py --tasks highway --arms control penalty     # a positive control
 
-The same command run again goes on where it was stopped, whatever stopped it; finished cells are never
+The same command run again continues where it was stopped. Finished cells are never
 computed twice. Several sweeps on one directory, also from several machines, share the work.
 
 Exit status: 0 all done, 1 some cells failed (everything else is kept), 2 something has to be put right
@@ -42,7 +42,6 @@ from experiments.study.design.experiment import Experiment, Flag, argument, shar
 from experiments.study.design.fingerprint import check_dynamics, known_dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.presets import cells_of, complete
-from experiments.study.design.verdict import copy_verdict
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
@@ -100,7 +99,6 @@ def sweep(
         if options.cell:
             return compute_one(options.cell, mine, options.directory, make_env)
         Store(options.directory).write_sweep(again, cells)
-        copy_verdict(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
         if len(failures) < len(mine):
             from experiments.report import print_report

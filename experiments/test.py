@@ -3,8 +3,8 @@
     python experiments/test.py results/mine
 
 The others are two agents of the published study, one trained in each traffic, and policies that do not learn. Crash
-rate, return and speed [m/s] have 95 % intervals over scenarios. They hold for these agents: what a way of training does
-needs several seeds (experiments/sweep.py).
+rate, return and speed [m/s] have 95 % intervals over scenarios. They hold for these agents only.
+To compare ways of training, train with several seeds (experiments/sweep.py).
 """
 
 from __future__ import annotations

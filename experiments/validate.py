@@ -3,9 +3,9 @@
     python experiments/validate.py --out results/validation            # every level, 200 scenarios each
     python experiments/validate.py --out results/validation --quick       # minutes
 
-highway-env's episodes are its replica's, of which highway-env itself drives a random part again. Writes
-validation.json and validation.html. The same command run again goes on where it was stopped. Exit status: 0 all margins
-kept, 1 some missed, 2 something has to be put right first. docs/validation.md says how to read them.
+The replica computes highway-env's episodes, and highway-env itself drives a random part of them again. Writes
+validation.json and validation.html. The same command run again continues where it was stopped. Exit status: 0 all
+margins kept, 1 some missed, 2 something has to be put right first. docs/validation.md says how to read them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from experiments.study.design import grid
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
-from experiments.study.design.verdict import SCHEMA, STORED, versions
+from experiments.study.design.verdict import STORED, versions
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
@@ -59,7 +59,7 @@ class Options:
     scenarios: int = 200
     """Scenarios of each level and traffic; every ego drives each."""
     one_in: int = 20
-    """highway-env itself drives a random episode in so many again."""
+    """highway-env itself drives one of so many episodes again, drawn at random."""
     workers: int = 2
     """Number of processes."""
     update: bool = False
@@ -93,8 +93,6 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     found = checks.scorecard(table)
     command = shlex.join(["python", "experiments/validate.py", *named])
     verdict = {
-        "schema": SCHEMA,
-        "backend": "sumo",
         "source": f"{scenarios} scenarios of each level ({command})",
         "versions": versions(),
         "fingerprints": {task: dynamics("sumo", task) for task in tasks},

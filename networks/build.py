@@ -1,25 +1,22 @@
-"""Build SUMO's networks: `python -m sumo_env.networks.build` rewrites them, `--check` compares.
+"""Build SUMO's networks: `python -m sumo_env.networks.build` rewrites them; a test compares their bytes.
 
 For each plan in `sumo_env.networks.plans`, writes the plain XML and runs netconvert on it (of the `eclipse-sumo` wheel,
-which only this module needs). In the result, all lane speeds are overwritten, also inside junctions: netconvert limits
-bends to 8-10 m/s by a comfort rule, while highway-env's vehicles take them at any speed. The header, which contains a
-date and paths of the machine, is dropped, so that building twice gives the same bytes.
+which only this module needs). In the result, all lane speeds are overwritten, also inside junctions: netconvert
+limits bends to 8-10 m/s by a comfort rule, while highway-env's vehicles take them at any speed. The header, which
+contains a date and paths of the machine, is dropped, so that building twice gives the same bytes.
 """
 
 from __future__ import annotations
 
-import argparse
-import filecmp
 import re
 import subprocess
-import sys
-import tempfile
 from pathlib import Path
+
+import sumolib
 
 from sumo_env.networks import plans
 
 HERE = Path(__file__).resolve().parent
-SUFFIXES = (".nod.xml", ".edg.xml", ".con.xml", ".net.xml")
 OPTIONS = (
     "--offset.disable-normalization=true",  # x stays highway-env's x, y its -y
     "--no-turnarounds=true",
@@ -27,15 +24,6 @@ OPTIONS = (
     "--junctions.join=false",
     "--precision=4",
 )
-
-
-def netconvert() -> Path:
-    """The netconvert of the installed eclipse-sumo wheel; RuntimeError if there is none."""
-    try:
-        import sumo
-    except ImportError as error:
-        raise RuntimeError("building networks needs netconvert: install eclipse-sumo==1.28.0") from error
-    return Path(sumo.SUMO_HOME) / "bin" / "netconvert"
 
 
 def build(plan: plans.Plan, folder: Path) -> Path:
@@ -46,7 +34,8 @@ def build(plan: plans.Plan, folder: Path) -> Path:
     """
     nodes, edges, connections = plan.write(folder)
     net = folder / f"{plan.name}.net.xml"
-    command = [netconvert(), "-n", nodes, "-e", edges, "-x", connections, "-o", net, *OPTIONS]
+    netconvert = sumolib.checkBinary("netconvert")
+    command = [netconvert, "-n", nodes, "-e", edges, "-x", connections, "-o", net, *OPTIONS]
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
     if done.returncode or "Warning" in done.stderr:
         raise RuntimeError(f"netconvert on {plan.name}: {done.stderr.strip() or done.stdout.strip()}")
@@ -56,31 +45,6 @@ def build(plan: plans.Plan, folder: Path) -> Path:
     return net
 
 
-def stale(folder: Path = HERE) -> list[str]:
-    """Names of files below `folder` that differ from what their plan gives now, or are missing."""
-    every = plans.all_plans()
-    names = [plan.name + suffix for plan in every for suffix in SUFFIXES]
-    with tempfile.TemporaryDirectory() as scratch:
-        for plan in every:
-            build(plan, Path(scratch))
-        _, differing, missing = filecmp.cmpfiles(folder, scratch, names, shallow=False)
-    return sorted(differing + missing, key=names.index)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status, 1 when `--check` finds a difference."""
-    parser = argparse.ArgumentParser(
-        prog="python -m sumo_env.networks.build", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--check", action="store_true", help="compare with a fresh build, write nothing")
-    if parser.parse_args(arguments).check:
-        differing = stale()
-        print("\n".join(f"differs: {name}" for name in differing) or "networks are up to date")
-        return 1 if differing else 0
+if __name__ == "__main__":
     for plan in plans.all_plans():
         print(build(plan, HERE).relative_to(HERE))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

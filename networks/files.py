@@ -24,7 +24,6 @@ from sumo_env.networks.mapping import Network, SumoLane, read_net, sumo_lanes_of
 from sumo_env.networks.meeting import Meeting
 from sumo_env.networks.roads import LaneIndex, Road
 
-Routes = tuple[tuple[str, tuple[str, ...]], ...]  # (name, SUMO's edges)
 Shape = tuple[Point, ...]
 
 CAR = "passenger"  # SUMO's class of the ego, and of all vehicles without another one
@@ -47,26 +46,21 @@ def is_file(name: str) -> bool:
     return name.endswith((".xml", ".xml.gz"))
 
 
-def network(net_file: str | Path, routes: Routes = ()) -> Network:
-    """The network of a file (.net.xml, .net.xml.gz), with named routes; it is read again when it has changed.
+def network(net_file: str | Path) -> Network:
+    """The network of a file (.net.xml, .net.xml.gz); it is read again when it has changed.
 
     Raises:
-        ValueError: there is no such file, it is no network with lanes inside its junctions, or a route leads over
-            edges that it does not have or that are not connected (`check_route`, for vehicles of any class).
+        ValueError: there is no such file, or it is no network with lanes inside its junctions.
     """
     path = Path(os.path.realpath(net_file))
     if not path.is_file():
         raise ValueError(f"there is no SUMO network {path}")
-    return _with_routes(path, path.stat().st_mtime_ns, routes)
-
-
-@lru_cache(maxsize=16)
-def _with_routes(path: Path, changed: int, routes: Routes) -> Network:
-    plain = _read(path, changed)
-    for name, way in routes:
-        check_route(plain, name, way, "")
-    ways = {name: tuple(f"{edge}:{end}" for edge in way for end in ("from", "to")) for name, way in routes}
-    return replace(plain, road=replace(plain.road, ways=ways), routes=dict(routes))
+    try:
+        return _read(path, path.stat().st_mtime_ns)
+    except Exception as error:  # of the XML parser, of sumolib, or of lanes that do not fit each other
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
 
 
 def lanes_for(network: Network, edge: str, vehicles: str = CAR) -> list[LaneIndex]:
@@ -96,9 +90,8 @@ def check_route(network: Network, name: str, way: Sequence[str], vehicles: str =
             raise ValueError(
                 f"route {name!r} leads over edge {edge!r}, which {network.task} does not have for {drivers}"
             )
-    leads = network.road.leads
     for (one, own), (other, after) in pairwise(zip(way, lanes, strict=True)):
-        if not any(end in after for index in own for joint in leads[index] for end in leads[joint]):
+        if not any(_onward(network, index) & set(after) for index in own):
             raise ValueError(f"route {name!r}: no connection leads from edge {one!r} to edge {other!r}")
 
 
@@ -111,29 +104,32 @@ def check_trip(network: Network, start: str, end: str, vehicles: str = CAR) -> N
     for edge in (start, end):
         check_route(network, f"{start} to {end}", (edge,), vehicles)
     found, goal = lanes_for(network, start, vehicles), set(lanes_for(network, end, vehicles))
-    seen, leads = set(found), network.road.leads
+    seen = set(found)
     while found and not goal & seen:  # on every road vehicles may change to any lane
-        roads = {
-            after[0].rpartition(":")[0] for index in found for joint in leads[index] for after in leads[joint]
-        }
+        roads = {after[0].rpartition(":")[0] for index in found for after in _onward(network, index)}
         found = [index for name in roads for index in lanes_for(network, name, vehicles) if index not in seen]
         seen.update(found)
     if not goal & seen:
         raise ValueError(f"no way leads from edge {start!r} to edge {end!r}")
 
 
+def _onward(network: Network, index: LaneIndex) -> set[LaneIndex]:
+    """The lanes beyond the next junction to which a lane leads."""
+    found = set()
+    for name in network.lanes[index].following:
+        while name.startswith(":"):
+            name = next(iter(network.sumo_lanes[name].following), "")
+        found.add(network.indices.get(name, index))
+    return found - {index}
+
+
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int) -> Network:
-    """The network of a file without routes."""
-    try:
-        net, left_hand = read_net(path), _is_left_hand(path)
-        sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
-    except Exception as error:  # of the XML parser, or whatever sumolib stumbles over
-        raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
+    net, left_hand = read_net(path), _is_left_hand(path)
+    sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
     indices: dict[str, LaneIndex] = {}
-    following: dict[LaneIndex, list[str]] = {}  # SUMO's lanes that come next
 
     def add(index: LaneIndex, parts: list[Any], before: Shape = (), after: Shape = ()) -> None:
         own = [point for part in parts for point in sumo_lanes[part.getID()].shape]
@@ -161,8 +157,7 @@ def _read(path: Path, changed: int) -> Network:
             for number, part in enumerate(parts):
                 add(lane(name, number), [part])
             joints: dict[str, int] = {}
-            for number, part in enumerate(parts):
-                following[lane(name, number)] = []
+            for part in parts:
                 for joint in part.getOutgoing():
                     after, inside = joint.getToLane(), joint.getViaLaneID()
                     goal = road_of(after)
@@ -179,10 +174,7 @@ def _read(path: Path, changed: int) -> Network:
                         )
                     place = joints[goal] = joints.get(goal, -1) + 1
                     shapes = [sumo_lanes[end.getID()].shape for end in (part, after)]
-                    index = f"{name}:to", f"{goal}:from", place
-                    add(index, within, *shapes)
-                    following[lane(name, number)].append(within[0].getID())
-                    following[index] = [after.getID()]
+                    add((f"{name}:to", f"{goal}:from", place), within, *shapes)
     if not sumo_lanes:
         raise ValueError(f"{path} has no edges: is it a SUMO network (.net.xml)?")
     if not any(CAR in found.classes for found in first.values()):
@@ -190,14 +182,12 @@ def _read(path: Path, changed: int) -> Network:
         raise ValueError(
             f"{path} has no lane for passenger cars, only for: {', '.join(sorted(classes)) or 'nobody'}"
         )
-    leads = {index: tuple(indices[name] for name in names) for index, names in following.items()}
-    road = Road(path.name, lanes, leads=leads)
     meeting = Meeting(net, {name: found.shape for name, found in sumo_lanes.items()})
-    return Network(path.name, road, path, {}, first, indices, sumo_lanes, meeting=meeting)
+    return Network(path.name, Road(path.name, lanes), path, {}, first, indices, sumo_lanes, meeting=meeting)
 
 
 def _to_scale(found: SumoLane) -> SumoLane:
-    """Without the difference between a short lane's length and its shape, which says nothing about driving on it."""
+    """With SUMO's length as the drawn length of a short lane, because their ratio is meaningless there."""
     return replace(found, drawn=found.length) if min(found.length, found.drawn) < SHORT else found
 
 

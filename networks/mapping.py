@@ -96,8 +96,6 @@ class Network:
         Raises ValueError, naming the choices, if no route leads there.
         """
         start = f"{index[0]}-{index[1]}>"
-        if destination is not None and destination in self.road.ways:
-            return destination
         if destination is None:
             ends = [key for key in self.routes if key.startswith(start)]
             if len(ends) == 1:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import itemgetter
 from typing import Any
@@ -30,10 +30,8 @@ SAMPLE = 1.0  # [m] between the points that stand for a lane of more
 class Road:
     """An immutable set of named lanes and the graph that they form.
 
-    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `ways` are routes by
-    name, as nodes; a name stands for the end of its route wherever a destination is asked for. `leads` says which lanes
-    follow each lane, on networks of SUMO; without it, numbers and places of lanes do, as in highway-env. `arguments`
-    are those of `road`, beside the name.
+    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `arguments` are
+    those of `road`, beside the name.
 
     oncoming: whether the lane to the left is that of oncoming traffic.
     clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
@@ -44,11 +42,9 @@ class Road:
 
     name: str
     lanes: Mapping[LaneIndex, Lane]
-    ways: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     arguments: tuple[tuple[str, float], ...] = ()
     oncoming: bool = False
     clears_exits: bool = False
-    leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] = field(default_factory=dict)
     joined: bool = False
     regulated: bool = False
     turned_by_matrix: bool = False
@@ -80,13 +76,7 @@ class Road:
         return tuple((start, end, j) for j in (i - 1, i + 1) if 0 <= j < self._counts[start, end])
 
     def route(self, start: str, goal: str) -> tuple[str, ...]:
-        """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none.
-
-        Towards one of the `ways`, what is left of it from `start` on.
-        """
-        if goal in self.ways:
-            way = self.ways[goal]
-            return way[way.index(start) :] if start in way else ()
+        """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""
         queue: deque[tuple[str, ...]] = deque([(start,)])
         while queue:
             path = queue.popleft()
@@ -103,10 +93,9 @@ class Road:
     ) -> LaneIndex:
         """The lane that follows `index` on the way along the nodes of `route`.
 
-        That is one of those that `leads` has. Where it has none, the lane id is kept onto a road with as many lanes;
-        otherwise the lane is taken that is closest to the current lane's centre beside the vehicle at (x, y) [m]
-        (without a position: to that lane's end). Where the route does not go on past the lane's end all successors
-        compete; without any, `index` stays.
+        The lane id is kept onto a road with as many lanes; otherwise the lane is taken that is closest to the current
+        lane's centre beside the vehicle at (x, y) [m] (without a position: to that lane's end). Where the route does
+        not go on past the lane's end all successors compete; without any, `index` stays.
         """
         start, node, i = index
         lane = self.lanes[index]
@@ -114,21 +103,14 @@ class Road:
         projected = lane.position(s, 0.0)
 
         def onto(end: str) -> tuple[float, LaneIndex]:
-            candidates = [lane for lane in self.leads.get(index, ()) if lane[1] == end]
-            if not candidates and self._counts[start, node] == self._counts[node, end]:
-                candidates = [(node, end, i)]
-            elif not candidates:
-                candidates = [(node, end, j) for j in range(self._counts[node, end])]
+            keeps = self._counts[start, node] == self._counts[node, end]
+            candidates = [(node, end, j) for j in ((i,) if keeps else range(self._counts[node, end]))]
             return min(((self.lanes[c].distance(*projected), c) for c in candidates), key=itemgetter(0))
 
         if node in route[:-1]:
             return onto(route[route.index(node) + 1])[1]
         ends = self.successors.get(node, ())
         return min(map(onto, ends), key=itemgetter(0))[1] if ends else index
-
-    def goal(self, destination: str) -> str:
-        """The node that a destination stands for."""
-        return self.ways[destination][-1] if destination in self.ways else destination
 
     def closest_lane(self, x: float, y: float, heading: float | None = None) -> LaneIndex:
         """Index of the lane with the least `distance`, that of the heading included; the first of equals.

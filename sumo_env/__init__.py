@@ -85,6 +85,8 @@ _LATER = {"DrivingEnv": "sumo_env.driving", "SumoDrivingEnv": "sumo_env.env", "T
 def __getattr__(name: str) -> Any:
     if name in _LATER:
         return getattr(import_module(_LATER[name]), name)
+    if name == "envs":  # as highway_env.envs
+        return import_module("sumo_env.envs")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
 
 

@@ -172,6 +172,13 @@ def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
     return str(value)
 
 
+def keys_of(config: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """The keys of a configuration that a user may have given. Raises ConfigError where it is no dict."""
+    if not isinstance(config, Mapping | None):
+        raise ConfigError(f"the configuration must be a dict such as {{'vehicles_count': 5}}, not {config!r}")
+    return config or {}
+
+
 def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -> Config:
     """`defaults` updated with `overrides`; top-level keys are replaced as a whole, as in highway-env.
 
@@ -182,11 +189,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     config = copy.deepcopy(known)
     ignored = highway_env()["ignored"].get(task, ())
     for override in overrides:
-        if not isinstance(override, Mapping | None):
-            raise ConfigError(
-                f"the configuration must be a dict such as {{'vehicles_count': 5}}, not {override!r}"
-            )
-        for key, given in (override or {}).items():
+        for key, given in keys_of(override).items():
             value = _plain(given)
             if key in known:
                 config[key] = value
@@ -205,7 +208,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
         policy = config["policy_frequency"]
         if _is_number(policy) and policy > known[frequency]:  # nobody has asked for the default
             config[frequency] = max(known[frequency], STOCK_FREQUENCY)
-    _check(config, known)
+    _check(task, config, known)
     return config
 
 
@@ -252,7 +255,7 @@ def _plain(value: Any) -> Any:
     return copy.deepcopy(value)
 
 
-def _check(config: Config, defaults: Config) -> None:
+def _check(task: str, config: Config, defaults: Config) -> None:
     for key in defaults:
         given, default = config[key], defaults[key]
         if given is not None or default is not None:
@@ -277,11 +280,14 @@ def _check(config: Config, defaults: Config) -> None:
             f"({config['policy_frequency']}): otherwise no time passes in a step"
         )
     for group, types in TYPES.items():
-        _check_type(group, config[group], {known["type"]: known for known in types})
+        _check_type(task, group, config[group], {known["type"]: known for known in types})
 
 
-def _check_type(group: str, given: Config, types: Mapping[str, Config]) -> None:
-    """That the entry for the observation or the action has a known type, and keys and values of that type."""
+def _check_type(task: str, group: str, given: Config, types: Mapping[str, Config]) -> None:
+    """That the entry for the observation or the action has a known type, and keys and values of that type.
+
+    highway-env's types take every key. Of a task of highway-env, a key that resembles no known one is ignored too.
+    """
     if "type" not in given:
         raise ConfigError(f"config[{group!r}] needs a 'type': {', '.join(types)}")
     if str(given["type"]) in NOT_HERE:
@@ -292,7 +298,11 @@ def _check_type(group: str, given: Config, types: Mapping[str, Config]) -> None:
     defaults = types[one_of(f"{group} type", given["type"], tuple(types))]
     for key, value in given.items():
         if key not in defaults:
-            raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {_meant(str(key), defaults)}")
+            meant, theirs = _meant(str(key), defaults), highway_env()
+            if task in theirs["ignored"] and given["type"] in theirs["types"][group] and "known:" in meant:
+                ignore(task, str(key), meant)
+                continue
+            raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {meant}")
         if key in ("longitudinal", "lateral") and value == "sumo":  # SUMO drives (`actions`)
             continue
         _check_kind(f"{group} {key!r}", defaults[key], value)

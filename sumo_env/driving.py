@@ -293,7 +293,7 @@ class DrivingEnv(OnScreen, OwnSumo):
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before imagine()")
         twin = copy.deepcopy(self)
-        # no seed of a scenario is as large, so that nobody imagines the truth
+        # Seeds of scenarios are below 2**31, so an imagined future never equals the real one.
         twin.scenario = self._drawn_by.imagined(self.scenario, self.config, self.scene.time, 2**31 + seed)
         assert twin._simulator is not None
         twin._simulator.imagine(twin.scenario)

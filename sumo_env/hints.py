@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-# Where the documentation is as a site, without a slash at the end; while this is empty, messages name files of the
+# Where the documentation is as a site (make addresses fills it in); while this is empty, messages name files of the
 # repository.
 DOCUMENTATION = ""
 
@@ -72,9 +72,9 @@ TYPES = {
 
 
 def page(name: str, section: str = "") -> str:
-    """Where a page of the documentation is, such as "docs/limits.md"."""
+    """Where a page of the documentation is, such as "docs/limits.md", or "limits.html" of the site."""
     section = section and f"#{section}"
-    return f"{DOCUMENTATION}/{name}/{section}" if DOCUMENTATION else f"docs/{name}.md{section}"
+    return f"{DOCUMENTATION}/{name}.html{section}" if DOCUMENTATION else f"docs/{name}.md{section}"
 
 
 @cache

@@ -57,9 +57,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     road = task.road(config)
     observation: ObservationType
     given, of_network = config["observation"], isinstance(task, NetworkTask)
-    if of_network and given["type"] == task.defaults["observation"]["type"]:
-        given = {**task.defaults["observation"], **given}  # its ranges are made of the network
     if given["type"] == "Kinematics":
+        if isinstance(task, NetworkTask):
+            given = {**task.table, **given}
         observation = Kinematics(given, road.count(*task.ego_road), on_its_way=of_network)
     elif given["type"] == "OccupancyGrid":
         observation = OccupancyGrid(given)
@@ -117,7 +117,8 @@ def information(
 def ending(ego: EgoState, arrived: bool, terminated: bool, truncated: bool) -> str:
     """How an episode has ended, for ``info["ending"]``; "" while it goes on.
 
-    "crash", "arrived", "missed turn", "removed" (by SUMO), "off road", "own rule" (of a subclass), or "time".
+    "crash", "arrived", "missed turn", "removed" (by SUMO), "off road", "own rule" (of a subclass, or a red light), or
+    "time".
     """
     if not terminated:
         return "time" if truncated else ""

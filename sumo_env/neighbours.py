@@ -38,9 +38,6 @@ class LeadersFollowers:
     nobody is. Normalized, gaps and speeds are divided by 200 m and 40 m/s. All is clipped.
     """
 
-    absolute = False
-    ranges: Mapping[str, tuple[float, float]] = {}
-
     def __init__(self, config: Mapping[str, Any], *, on_its_way: bool) -> None:
         """on_its_way: whether there are features of the ego's way. Raises ConfigError: an unknown feature."""
         given = config.get("features") or ()

@@ -256,7 +256,7 @@ def destination_direction(
     """
     if spec is None or spec.destination is None:
         return 0.0, 0.0
-    goal = road.goal(spec.destination)
+    goal = spec.destination
     at_goal = spec.lane[1] == goal
     lane = road.lane(spec.lane if at_goal else next(index for index in road.lanes if index[1] == goal))
     x, y = float(scene.x[row]), float(scene.y[row])
@@ -284,9 +284,6 @@ class TimeToCollision:
                 f"observation 'horizon' must be at least one policy step, not {self.horizon!r} s"
             )
         self.space = spaces.Box(0.0, 1.0, (3, 3, self.steps), np.float32)
-        self.features: tuple[str, ...] = ()
-        self.ranges: dict[str, tuple[float, float]] = {}
-        self.absolute = False
 
     def observe(self, seen: Situation) -> Array:
         """The grid, float32 of shape (3, 3, steps)."""
@@ -329,8 +326,8 @@ class TimeToCollision:
         """The 3 x 3 neighbourhood: beyond the outer lanes all is contact, beyond the last speed the speed repeats."""
         wall = np.ones((grid.shape[0], 1, grid.shape[2]))
         padded = np.concatenate([wall, grid, wall], axis=1)[:, lane : lane + 3, :]
-        rungs = np.clip(np.arange(speed_index - 1, speed_index + 2), 0, grid.shape[0] - 1)
-        return padded[rungs].astype(np.float32)
+        near = np.clip(np.arange(speed_index - 1, speed_index + 2), 0, grid.shape[0] - 1)
+        return padded[near].astype(np.float32)
 
 
 def _connected(

@@ -55,7 +55,6 @@ class OccupancyGrid:
         self.shape = (len(self.features), *shape)
         twice = 2.0 * MAX_SPEED
         self.ranges = ranges_of(given["features_range"] or {"vx": (-twice, twice), "vy": (-twice, twice)})
-        self.absolute = False
         self._aligned, self._clip = bool(given["align_to_vehicle_axes"]), bool(given["clip"])
         self._is_image = bool(given["as_image"])
         self.space: Any = (

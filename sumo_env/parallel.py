@@ -26,8 +26,7 @@ try:
     from pettingzoo.utils import BaseParallelWrapper
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
-        "several learning cars need PettingZoo, which is not installed: "
-        "pip install 'sumo-risky-driving[multi-agent]'",
+        "several learning cars need PettingZoo, which is not installed: pip install pettingzoo",
         name=error.name,
     ) from None
 

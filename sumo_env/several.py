@@ -6,16 +6,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 from gymnasium import spaces
 
-from sumo_env.config import Config, ConfigError
+from sumo_env.config import Config, ConfigError, keys_of
 from sumo_env.driving import DrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import Commands
@@ -43,7 +44,7 @@ def asked(config: Mapping[str, Any] | None, cars: int = 1) -> Asked:
     Raises:
         ConfigError: the number of cars makes no sense.
     """
-    plain = dict(config or {})
+    plain = dict(keys_of(config))
     count = plain.pop("controlled_vehicles", cars)
     if not isinstance(count, int) or count < 1:
         raise ConfigError(f"'controlled_vehicles' must be a whole number from 1 on, not {count!r}")
@@ -198,6 +199,10 @@ class TupleEnv(gym.Env[Any, Any]):
         """The learning cars, as ``env.unwrapped.vehicle`` shows the first one."""
         return [env.vehicle for env in self.cars.envs]
 
+    def get_available_actions(self) -> Iterator[tuple[int, ...]]:
+        """Tuples of actions, each of which would change something for its car now, or is IDLE."""
+        return product(*(env.get_available_actions() for env in self.cars.envs))
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
@@ -216,7 +221,7 @@ class TupleEnv(gym.Env[Any, Any]):
         seen = self.cars.reset(seed, given)
         self._np_random = self.cars.first._np_random
         self._set_spaces()
-        return self._observed(seen), self._informed(seen[0][1])
+        return self._observed(seen), self._informed(seen, [env._reward(None) for env in self.cars.envs])
 
     def step(self, action: Any) -> tuple[Any, Any, Any, bool, dict[str, Any]]:
         """Drive one policy step.
@@ -228,36 +233,32 @@ class TupleEnv(gym.Env[Any, Any]):
         if not isinstance(action, tuple | list) or len(action) != count:
             raise ValueError(f"{count} learning cars need a tuple of {count} actions, not {action!r}")
         results, _ = self.cars.step(dict(enumerate(action)))
-        _, reward, end, truncated, info = results[0]
-        info = self._informed(info, action)
+        info = {**self._informed(results, [result[1] for result in results.values()]), "action": action}
+        rewards, ends = info["agents_rewards"], info["agents_terminated"]
+        _, reward, end, truncated, _ = results[0]
+        first, states = self.cars.first, [env.ego_state for env in self.cars.envs]
         if self._per_car:
-            return self._observed(results), info["agents_rewards"], info["agents_terminated"], truncated, info
-        first = self.cars.first
-        if first.task.shares_reward:
-            states = [env.ego_state for env in self.cars.envs]
+            reward, end = rewards, ends
+        elif first.task.shares_reward:
             is_off = bool(first.config["offroad_terminal"]) and not states[0].on_road
-            reward = sum(info["agents_rewards"]) / count
+            reward = sum(rewards) / count
             end = any(state.crashed for state in states) or all(map(first.task.arrived, states)) or is_off
         return self._observed(results), reward, end, truncated, info
 
     def _observed(self, seen: Mapping[int, tuple[Any, ...]]) -> Any:
         return tuple(seen[number][0] for number in range(len(seen))) if self._sees_all else seen[0][0]
 
-    def _informed(self, info: dict[str, Any], action: Any = None) -> dict[str, Any]:
-        """The first car's ``info`` with what belongs to all cars; the action is None at a reset."""
-        envs = self.cars.envs
-        actions = [None] * len(envs) if action is None else action
-        states = [env.ego_state for env in envs]
+    def _informed(self, seen: Mapping[int, tuple[Any, ...]], rewards: list[float]) -> dict[str, Any]:
+        """The first car's ``info`` with what belongs to all cars."""
+        first, states = self.cars.first, [env.ego_state for env in self.cars.envs]
         together: dict[str, Any] = {
-            "agents_rewards": tuple(float(env._reward(one)) for env, one in zip(envs, actions, strict=True)),
-            "agents_terminated": tuple(state.crashed or envs[0].task.arrived(state) for state in states),
+            "agents_rewards": tuple(map(float, rewards)),
+            "agents_terminated": tuple(state.crashed or first.task.arrived(state) for state in states),
         }
-        if envs[0].task.shares_reward:
-            terms = [env._rewards(one) for env, one in zip(envs, actions, strict=True)]
-            together["rewards"] = {
-                name: sum(float(term[name]) for term in terms) / len(terms) for name in terms[0]
-            }
-        return info | together | ({} if action is None else {"action": action})
+        if first.task.shares_reward:
+            terms = [one[-1]["rewards"] for one in seen.values()]
+            together["rewards"] = {name: sum(term[name] for term in terms) / len(terms) for name in terms[0]}
+        return seen[0][-1] | together
 
     def render(self) -> Any:
         """See `DrivingEnv.render`."""

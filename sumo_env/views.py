@@ -24,6 +24,20 @@ from sumo_env.scene import Floats, Scene
 from sumo_env.traffic.scenario import VehicleSpec
 
 
+def _only_read(name: str) -> AttributeError:
+    return AttributeError(
+        f"{name!r} can only be read: the simulator drives the vehicles. To change traffic use a task or drivers of "
+        f"your own, or reset(options={{'scenario': ...}}) ({page('own-parts')})"
+    )
+
+
+class _Vehicles(tuple["Vehicle", ...]):
+    """All vehicles; in highway-env, scripts append to this list."""
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise _only_read("vehicles") if hasattr(list, name) else AttributeError(name)
+
+
 class _View:
     """Values that can only be read; an error about another one says what to use instead."""
 
@@ -34,10 +48,7 @@ class _View:
         vars(self).update(values)
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
-        raise AttributeError(
-            f"{name!r} can only be read: the simulator drives the vehicles. To change traffic use a task or drivers "
-            f"of your own, or reset(options={{'scenario': ...}}) ({page('own-parts')})"
-        )
+        raise _only_read(name)
 
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("_") and hasattr(self._of, name):
@@ -334,7 +345,7 @@ def road_view(
                 **further,
             )
         )
-    vars(view)["vehicles"] = tuple(vehicles)
+    vars(view)["vehicles"] = _Vehicles(vehicles)
     return view
 
 

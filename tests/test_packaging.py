@@ -8,6 +8,7 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import venv
 import zipfile
 from functools import partial
@@ -111,6 +112,30 @@ def test_a_clone_without_symbolic_links_is_whole(python: Path, source: Path, tmp
         for wheel in folder.glob("*.whl")
     )
     assert sorted(without ^ with_link) == [] and "sumo_env/networks/u_turn/u_turn.net.xml" in without
+
+
+def test_addresses_are_filled_in_at_once(tmp_path: Path) -> None:
+    names = [
+        "pyproject.toml",
+        "CITATION.cff",
+        "mkdocs.yml",
+        "docs/templates/README.md.j2",
+        "sumo_env/hints.py",
+    ]
+    for name in [*names, "Makefile"]:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    assert subprocess.run(["make", "addresses"], cwd=tmp_path, capture_output=True).returncode
+    command = ["make", "addresses", "REPOSITORY=https://a.example/me/it", "DOCUMENTATION=https://b.example"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    texts = [(tmp_path / name).read_text(encoding="utf-8") for name in names]
+    assert not any("address: " in text or "REPOSITORY" in text for text in texts)
+    urls = tomllib.loads(texts[0])["project"]["urls"]
+    assert (urls["Repository"], urls["Documentation"]) == ("https://a.example/me/it", "https://b.example")
+    assert "\nrepository-code: https://a.example/me/it\n" in texts[1]
+    assert "\nrepo_url: https://a.example/me/it\nsite_url: https://b.example/\n" in texts[2]
+    assert "\n[![tests](https://a.example/me/it/actions/" in texts[3]
+    assert '\nDOCUMENTATION = "https://b.example"\n' in texts[4]
 
 
 def test_the_source_distribution_holds_documentation_and_tests(source: Path, tmp_path: Path) -> None:

@@ -211,12 +211,14 @@ def test_an_interval_over_scenarios_alone_is_that_of_a_paired_t_test() -> None:
 def test_shares_of_avoidable_crashes_have_wilsons_intervals() -> None:
     stored = pd.read_parquet(RESULTS / "copies" / "avoidable.parquet")
     lines = {name: cells for name, *cells in pages.avoidable()}
-    assert sum(int(cells[0]) for cells in lines.values()) == len(stored)
+    assert len(lines) == stored["task"].nunique() and set(stored["arm"]) == {"control", "treatment"}
     own = [row for row in stored.to_dict("records") if (row["task"], row["arm"]) == ("u-turn", "control")]
     assert {row["cell"] for row in own} == {own[0]["cell"]}
     avoided = sum(row["contact"] - row["last"] <= 2 for row in own)
     low, high = proportion_confint(avoided, len(own), method="wilson")
-    assert lines["u-turn 3, control"][1] == f"{avoided / len(own):.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+    assert lines["u-turn 3"][0] == f"{avoided / len(own):.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+    earlier = (stored["contact"] - stored["last"] <= 3).groupby(stored["task"]).mean()
+    assert earlier.drop("two-way").min() > 0.9 and earlier["two-way"] == pytest.approx(0.5, abs=0.05)
 
 
 def test_planners_crash_in_regular_traffic_on_the_two_way_road_alone() -> None:
@@ -248,19 +250,14 @@ def test_the_choice_of_the_learner_is_told_as_it_was_stored() -> None:
     assert found["score"] == pytest.approx(fmean(ended))
     assert found["control"] == pytest.approx(fmean(after) - fmean(before))
     assert found["largest"] == pytest.approx(max(row["largest_q"] / row["q_bound"] for row in own))
-    longer = [row for row in runs if row["variant"] == "half-128-longer" and row["share"] == 1.0]
-    on_road = [row for row in longer if (row["crash_time"] if row["crashed"] else row["length"]) > 8]
-    crashes = [row for row in on_road if row["crashed"] and row["crash_time"] <= 9]
-    assert pages.hazard(9, longer=True) == f"{len(crashes) / len(on_road):.3f}".removeprefix("0")
 
 
 def test_doses_in_units_of_the_road_are_those_of_the_table() -> None:
     stored = pq.read_table(RESULTS / "road-units.parquet").to_pylist()
     highway = [line for line in stored if line["task"] == "highway"]
     assert [line["traffic"] for line in highway] == ["0", "0.25", "0.5", "0.75", "1", "measured"]
-    shown = re.findall(r"[0-9.]+", pages.road_units("highway", "lane_changes", 2))
-    assert list(map(float, shown)) == pytest.approx([line["lane_changes"] for line in highway], abs=0.0051)
-    assert pages.road_units("two-way", "lane_changes", 2) == ""
+    shown = map(float, pages.road_units("highway", "lane_changes", 2).split(" | "))
+    assert list(shown) == pytest.approx([highway[k]["lane_changes"] for k in (0, 4, 5)], abs=0.0051)
 
 
 def test_the_checks_of_the_validation_are_counted() -> None:
@@ -311,7 +308,7 @@ def test_where_the_second_study_finds_gains_and_harms() -> None:
 
 
 def test_which_tasks_keep_the_price_below_its_margin() -> None:
-    """docs/study.md names the limits of all tasks; the verdicts are those of the plan."""
+    """docs/study.md says on which tasks mixed training stays within the limits of the plan."""
     rows = pages.analysis("second").price
     holds = {
         traffic: set(rows[(rows["term"] == traffic) & (rows["verdict"] == "holds")]["scope"])

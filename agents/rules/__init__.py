@@ -13,7 +13,7 @@ from agents.policies import Policy
 from agents.rules.careful import Careful
 from agents.rules.constant import Constant, Random
 from agents.rules.idm import IDM
-from agents.rules.planner import clairvoyant, imagining
+from agents.rules.planner import Planner
 
 POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
 # The careful driver at other cautions: with the constant policies, how many crashes a speed costs without learning.
@@ -21,8 +21,8 @@ CAUTIONS = {"careful-0.1": 0.1, "careful-0.5": 0.5, "careful": 1.0, "careful-2":
 MAKERS: dict[str, Callable[[gym.Env[Any, Any]], Policy]] = {
     **{name: partial(Careful, caution=caution) for name, caution in CAUTIONS.items()},
     "idm": IDM,
-    "planner": imagining,
-    "clairvoyant": clairvoyant,
+    "planner": partial(Planner, foresees=False),
+    "clairvoyant": partial(Planner, foresees=True),
 }
 
 

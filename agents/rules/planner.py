@@ -52,16 +52,6 @@ class Planner:
         return max(best, key=lambda first: best[first])
 
 
-def imagining(env: gym.Env[Any, Any]) -> Planner:
-    """The one that imagines."""
-    return Planner(env, foresees=False)
-
-
-def clairvoyant(env: gym.Env[Any, Any]) -> Planner:
-    """The one that knows the future."""
-    return Planner(env, foresees=True)
-
-
 def _values(env: Any, first: int, repeated: list[int]) -> dict[int, float]:
     """Value of a first action followed by each of the repeated ones, in copies."""
     begun = copy.deepcopy(env)

@@ -179,16 +179,14 @@ def main(name, make, learner, steps, levels=(-1.0, -0.5, 0.0, 0.5, 1.0), **setti
 def table(rows):
     """The results as a table in Markdown."""
     lines = [
-        "| example | learner, steps, CPU s | agent | crashes | best constant action | ahead of it | SUMO's driver |",
-        "|---|---|---|---|---|---|---|",
+        "| example | learner | agent | best constant action | difference (standard error) | SUMO's driver |",
+        "|---|---|---|---|---|---|",
     ]
     for name, row in sorted(rows.items()):
-        verdict = "ahead" if row["ahead"] > 2 * row["standard error"] else "not shown to be ahead"
+        bold = "**" if row["ahead"] > 2 * row["standard error"] else ""
         lines.append(
-            f"| `{name}` | {row['learner']}, {row['steps']:,}, {row['training CPU s']} | {row['return']:.2f} "
-            f"| {row['crashes']} | {row['best constant']}: {row['its return']:.2f} "
-            f"| {row['ahead']:+.2f} ± {row['standard error']:.2f}: {verdict} "
-            f"| {row['SUMO drives']:.2f} |"
+            f"| `{name}` | {row['learner']} | {row['return']:.2f} | {row['its return']:.2f} "
+            f"| {bold}{row['ahead']:+.2f}{bold} ({row['standard error']:.2f}) | {row['SUMO drives']:.2f} |"
         )
     return "\n".join(lines)
 

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,6 @@ class Analysis:
     gates: pd.DataFrame
     policies: pd.DataFrame
     placebo: pd.DataFrame
-    negative_control: float | None
     plan: dict[str, Any]
     plan_hash: str
     notes: dict[str, Any]
@@ -91,7 +91,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
 
-    planned = {BOTH: questions(outcomes), **{(arm, "control"): CRASHES for arm in plan.arms[2:]}}
+    planned = {BOTH: [*product(outcomes, TERMS)], **{(arm, "control"): CRASHES for arm in plan.arms[2:]}}
     looks = [arms_of(agents[agents["seed"] < look.seeds], outcomes) for look in plan.schedule]
     at_looks = pd.concat(
         [contrasts(arms, planned, look=look) for look, arms in enumerate(looks)], ignore_index=True
@@ -99,7 +99,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     effects = adjusted(decided(at_looks, plan), plan)
     both = effects[effects["arm"] == "treatment"]
     trends = slopes(looks, plan)
-    everybody = arms_of(pd.concat([agents, careful_as(["careful"], episodes)]))
+    everybody = arms_of(pd.concat([agents, careful(episodes)]))
     beside = [
         contrasts(everybody, dict.fromkeys(FURTHER_COMPARISONS, SHOWN)),
         contrasts(arms_of(pairs.units(episodes)), dict.fromkeys(pairs.COMPARED, SHOWN)),
@@ -122,7 +122,6 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         gates=passed,
         policies=policies(episodes, outcomes),
         placebo=placebo(agents, plan),
-        negative_control=negative_control(episodes),
         plan=plan_data,
         plan_hash=sha256_bytes(canonical_json(plan_data).encode()),
         notes={
@@ -140,20 +139,15 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     )
 
 
-def questions(outcomes: Iterable[str] = OUTCOMES) -> list[tuple[str, str]]:
-    """Every outcome in every term of the effect."""
-    return [(outcome, term) for outcome in outcomes for term in TERMS]
-
-
 def own_agents(episodes: pd.DataFrame) -> pd.DataFrame:
     """The test episodes of trained agents on the simulator of their training."""
     return episodes[episodes["kind"] == "agent"]
 
 
-def careful_as(arms: Iterable[str], episodes: pd.DataFrame) -> pd.DataFrame:
-    """The test episodes of the careful driver, who follows fixed rules, as those of the one agent of each arm."""
+def careful(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The test episodes of the careful driver, who follows fixed rules, as those of the one agent of an arm."""
     rule = episodes[(episodes["policy"] == "careful") & (episodes["kind"] == "baseline")]
-    return pd.concat([rule.assign(seed=0, arm=arm) for arm in arms], ignore_index=True)
+    return rule.assign(seed=0, arm="careful")
 
 
 def transfers(episodes: pd.DataFrame) -> Iterator[pd.DataFrame]:
@@ -189,12 +183,6 @@ def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     primary = effects[effects["term"] == plan.primary_term]
     mean = combine(primary, by, equal_task_weights(primary, by))
     return found.reset_index().merge(mean[[*by, "estimate", "low", "high"]])
-
-
-def negative_control(episodes: pd.DataFrame) -> float | None:
-    """The largest effect of the careful driver taken as both arms, which has to be 0; None if it was not run."""
-    arms = arms_of(careful_as(ARMS, episodes))
-    return float(contrasts(arms, {BOTH: questions()})["estimate"].abs().max()) if arms else None
 
 
 def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.DataFrame:

@@ -70,7 +70,6 @@ class ScenarioEnv(AbstractEnv):
     task: ClassVar[Task]
     config: Config
     _motion: tuple[float, float]  # speed [m/s] and acceleration [m/s2] at the end of the last step
-    joins: ClassVar[bool] = True  # whether the road has lanes that continue others
 
     # -- configuration -------------------------------------------------------------------------------------
 
@@ -98,7 +97,7 @@ class ScenarioEnv(AbstractEnv):
         self.actions, self.target_speeds = kind.names, kind.target_speeds
         # target speeds that are not given are the task's, as in `sumo_env`; in highway-env it would be the highway's
         chosen["action"] = {**chosen["action"], "target_speeds": list(self.target_speeds)}
-        connected = self.joins and variant != "v0"
+        connected = self.task.road(chosen).joined and variant != "v0"
         self.config = {**chosen, **FIXED, "neighbour_vehicles_connected_lanes": connected}
 
     def define_spaces(self) -> None:
@@ -231,7 +230,8 @@ class ScenarioEnv(AbstractEnv):
         return vehicle
 
     def _driver(self) -> type[ScenarioVehicle]:
-        return PathVehicle if self.joins and self.config["variant"] == "path" else ScenarioVehicle
+        connected = self.config["neighbour_vehicles_connected_lanes"]
+        return PathVehicle if connected and self.config["variant"] == "path" else ScenarioVehicle
 
     def _simulate(self, action: int | None = None) -> None:
         """``AbstractEnv._simulate``, with the risk events before and the measurements after every sub-step."""
@@ -330,13 +330,13 @@ class ScenarioEnv(AbstractEnv):
 class HighwayScenario(ScenarioEnv, HighwayEnv):
     """highway-v0."""
 
-    task, joins = TASKS["highway"], False
+    task = TASKS["highway"]
 
 
 class TwoWayScenario(ScenarioEnv, TwoWayEnv):
     """two-way-v0, of any length."""
 
-    task, joins = TASKS["two-way"], False
+    task = TASKS["two-way"]
 
     def _make_road(self, *_: Any) -> None:
         super()._make_road(length=float(self.config["road_length"]))

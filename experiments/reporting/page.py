@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
 from experiments.study.design.arms import ARMS, DOSE_ARMS
 from experiments.study.design.traffic import TRAFFICS
-from experiments.study.design.verdict import of_results
+from experiments.study.design.verdict import verdicts
 from experiments.study.results.store import Results, Store
 from sumo_env.hints import DOCUMENTATION
 
@@ -47,14 +47,14 @@ def page(results: Results, analysis: Analysis, others: Mapping[str, Analysis]) -
         "films": films(results.directory),
         "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,
-        "checks": checks(results.directory, names),
+        "checks": checks(results),
         "directory": str(results.directory),
         "commands": [sweep["command"] for sweep in Store(results.directory).sweeps()],
         "gate_texts": GATES,
         "seconds": duration(analysis.provenance["seconds"]),
         "computed": computed(results),
         "address": DOCUMENTATION,
-        **{name: getattr(analysis, name) for name in ("plan", "plan_hash", "provenance", "negative_control")},
+        **{name: getattr(analysis, name) for name in ("plan", "plan_hash", "provenance")},
     }
 
 
@@ -69,14 +69,12 @@ def films(directory: Path) -> dict[str, str]:
 
 
 def computed(results: Results) -> dict[str, Any]:
-    """When the newest cell was finished, with which versions of the package, and at which commits."""
+    """When the newest cell was finished, and at which commits."""
     cells = results.cells.values()
     finished = {str(cell.get("timing", {}).get("finished", "")) for cell in cells}
-    versions = {str(cell["versions"].get("sumo-risky-driving", "")) for cell in cells}
     commits = {str((cell.get("provenance") or {}).get("git") or "")[:7] for cell in cells}
     return {
         "date": max(finished, default="")[:10],
-        "versions": sorted(versions - {""}),
         "commits": sorted(commits - {""}),
     }
 
@@ -202,13 +200,13 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
     return {key: Markup(svg) if svg else None for key, svg in found.items()}
 
 
-def checks(directory: Path, backends: Sequence[str]) -> dict[str, Any]:
+def checks(results: Results) -> dict[str, Any]:
     """How many checks of SUMO against highway-env are within their margins, and which are not."""
-    found = of_results(directory) if "sumo" in backends else None
-    tasks = found["tasks"] if found else {}
+    on_sumo = [cell for cell in results.cells.values() if cell["key"]["backend"] == "sumo"]
+    tasks = verdicts(on_sumo)
     total = sum(sum(verdict["counts"].values()) for verdict in tasks.values())
     missed = [{"task": task, **item} for task, verdict in tasks.items() for item in verdict["missed"]]
-    return {"relevant": "sumo" in backends, "total": total, "missed": missed}
+    return {"relevant": bool(on_sumo), "total": total, "missed": missed}
 
 
 def render(variables: Mapping[str, Any], template: str) -> str:

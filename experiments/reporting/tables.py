@@ -133,7 +133,7 @@ def first_page(analysis: Analysis, backend: str, arm: str = "treatment") -> pd.D
         outcome=("crashed", "mean_speed"),
         term=list(TRAFFICS),
     )
-    return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "all tasks alike")), ["task"], rates)
+    return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "mean of the tasks")), ["task"], rates)
 
 
 def careful(analysis: Analysis, backend: str) -> pd.DataFrame:
@@ -159,7 +159,7 @@ def price(analysis: Analysis, backend: str) -> pd.DataFrame:
             f"at most (allowed: below {allowed})": most,
         }
 
-    return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "all tasks alike")), ["task"], cells)
+    return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "mean of the tasks")), ["task"], cells)
 
 
 def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import level_names
 from experiments.study.design.sheet import sheet
 from experiments.study.results.packed import read_table
-from experiments.study.results.schema import Column, check_columns
+from experiments.study.results.schema import MOST, Column, check_columns
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
@@ -71,7 +72,11 @@ COLUMNS: dict[str, str] = {
 }
 
 
-STORED = {name: Column(kind, missing=kind.startswith("float")) for name, kind in COLUMNS.items()}
+MAY_LACK = ("crash_time", "traffic_speed", "lane_changes")  # without a crash, or without traffic to see
+STORED = {
+    name: Column(kind, 0 if kind[0] == "u" else -MOST, MOST, missing=name in MAY_LACK)
+    for name, kind in COLUMNS.items()
+}
 
 
 def egos(task: str) -> tuple[str, ...]:
@@ -201,12 +206,14 @@ class Part:
 
     def done(self) -> bool:
         """Whether it is stored; a part that is damaged is named, and driven again."""
-        path, wanted = self.directory / self.name, len(self.episodes())
+        path = self.directory / self.name
+        wanted = [(self.task, self.level, self.traffic, ego, scenario) for scenario, ego in self.episodes()]
         try:
             table = read_table(path)
             check_columns(table, STORED, COLUMNS)
-            if len(table) != wanted:
-                raise Wrong(f"it has {len(table)} rows, not {wanted}")
+            found = list(table[PAIR].itertuples(index=False, name=None))
+            if odd := [row for row, pair in enumerate(zip_longest(found, wanted)) if pair[0] != pair[1]]:
+                raise Wrong(f"row {odd[0]} of {len(found)} is not the episode that is asked for there")
         except FileNotFoundError:
             return False
         except Wrong as error:
@@ -265,7 +272,8 @@ def plan(
         Part(engine, task, level, traffic, scenarios[first : first + size])
         for engine in engines
         for task, numbers in levels.items()
-        if sheet(task).joins or engine.config.get("variant") not in ("v0", "connected")
+        if TASKS[task].road(TASKS[task].defaults).joined
+        or engine.config.get("variant") not in ("v0", "connected")
         for level in numbers
         for traffic in traffics
         for first in range(0, len(scenarios), size)

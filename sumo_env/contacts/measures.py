@@ -1,7 +1,8 @@
 """Measures of danger short of a crash, computed alike for every simulator.
 
 Time to collision (TTC) here is that of the vehicles' full rectangles in the plane, not of a gap along a lane: the time
-until the two first touch if both keep their velocity and heading. It is exact, whatever the angle.
+until the two first touch if both keep their velocity and heading. It is exact, whatever the angle. The replica compiles
+`ego_ttc`: plain floats only.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def ego_ttc(
         if squared > apart_from and (
             closing >= 0.0 or (squared - apart_from) * (wx * wx + wy * wy) > closing * closing
         ):
-            continue  # who is out of touch and moves away stays so, and who passes by does not come into it
+            continue  # they separate, or pass further away than the two could touch
         parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
         length, width = extents(own, half, parallel, across)
         # Along each of the four directions of the sides the shadows of the rectangles overlap during one interval of

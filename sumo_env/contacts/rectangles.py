@@ -25,7 +25,8 @@ HALF_LENGTH, HALF_WIDTH = LENGTH / 2.0, WIDTH / 2.0
 Half = tuple[float, float]  # half the length and half the width of a vehicle [m]
 CAR: Half = (HALF_LENGTH, HALF_WIDTH)
 DIAGONAL = hypot(LENGTH, WIDTH)  # [m] cars whose centres are further apart are not in contact
-ROUNDING = 1e-9  # [m] a smaller gap is a touch: a look is meant to fall on its moment
+# [m] Smaller gaps count as contact, so that a check at the exact moment of touching finds it.
+ROUNDING = 1e-9
 FINEST = 0.01  # of a sub-step: a contact that is shorter (1 ms of 0.1 s) may be missed
 
 

@@ -24,7 +24,8 @@ from sumo_env.tasks import base
 from sumo_env.tasks.base import Task, lmap
 from sumo_env.tasks.intersection import ARRIVAL
 
-AFRESH, NOTHING = -1, -2  # in place of an action: an episode begins; the episode is left as it is
+# In place of an action. AFRESH: only observe the start of an episode. NOTHING: skip this row.
+AFRESH, NOTHING = -1, -2
 OTHER = 1  # the number of an action of which rewards take no notice
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}

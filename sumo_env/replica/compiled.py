@@ -46,8 +46,7 @@ def compiled(function: Function) -> Function:
 def borrowing(function: Function) -> Function:
     """As `compiled`, for functions that make no arrays and return none.
 
-    References to the arrays that such a function is given are not counted, and it becomes a part of the functions that
-    call it, which otherwise spend more time on handing over some eighty numbers that describe arrays than on physics.
+    Inlined and without reference counting: passing some eighty numbers that describe arrays costs more than physics.
     """
     return _compiled(function, counts=False)
 

@@ -1,4 +1,4 @@
-"""What risky drivers do: cut-ins, sudden braking and surges (`sumo_env.drivers.RiskEvent`), and what they look at.
+"""What risky drivers do: cut-ins, sudden braking and surges (`sumo_env.traffic.risk.RiskEvent`), and what they look at.
 
 The same events, by the same rules, as `experiments.backends.highway_env` starts among highway-env's vehicles.
 """

@@ -1,19 +1,17 @@
 """The ego in SUMO: highway-env's low-level driver as speeds and lane changes that SUMO is commanded.
 
 Speed follows the target with a first-order lag of 0.6 s, without a limit on acceleration, as in highway-env, or at a
-commanded acceleration; the sideways motion of a lane change is SUMO's. Where it obeys traffic lights, it brakes for
-them. What is not commanded SUMO drives, as the task's regular driver.
+commanded acceleration; the sideways motion of a lane change is SUMO's. What is not commanded SUMO drives, as the task's
+regular driver.
 """
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 
 from sumo_env.actions import ego_route, follow_road
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
-from sumo_env.scene import RED, YELLOW, Light
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.events import modes
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
@@ -21,10 +19,6 @@ from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
 REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reproduced at any step length
-# [m/s2] usual and hardest braking before traffic lights; where one would need more than its own, the ego drives on
-BRAKING, HARDEST = 4.0, 9.0
-STOPS_FOR = {RED: 8.0, YELLOW: 5.0}
-STOP_DISTANCE = 1.0  # [m] from its front to the stop line
 
 
 class Controls:
@@ -70,7 +64,6 @@ class Ego:
         self._route = ego_route(self._road, spec)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
         self.crashed = False  # since a contact it only coasts to a stop
-        self._obeys_lights = scenario.obeys_lights
         self._lane, self._stretch = "", 1.0  # of SUMO
         self._acceleration: float | None = None
         self.controls = Controls(session, self._name, modes(spec, scenario.calibration), True, True)
@@ -96,15 +89,9 @@ class Ego:
         elif not self.controls.speed:
             distance = 0.0
         else:
-            before = self.speed
-            self.speed, distance = driven(before, self.target_speed, self._acceleration, dt)
-            if self._obeys_lights:
-                allowed = speed_before(session.next_light(self._name), before, dt)
-                if allowed < self.speed:
-                    self.speed, distance = allowed, (before + allowed) / 2.0 * dt
+            self.speed, distance = driven(self.speed, self.target_speed, self._acceleration, dt)
         lane = session.vehicle.getLaneID(self._name)
         if lane != self._lane:
-            self._follow_fork(self._lane, lane)
             self._lane, self._stretch = lane, self._network.stretch(lane)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         if self.controls.speed:
@@ -119,13 +106,6 @@ class Ego:
             return 0.0
         self.speed = self._session.vehicle.getSpeed(self._name) / self._stretch
         return self.speed * self._session.step_length
-
-    def _follow_fork(self, before: str, lane: str) -> None:
-        """Where SUMO's lane `before` forks inside a junction: steer for the way that SUMO has taken."""
-        indices = self._network.indices
-        onward = self._road.leads.get(indices[before], ()) if before else ()
-        if self.target_lane in onward and indices[lane] in onward:
-            self.target_lane = indices[lane]
 
     def _change_lane(self, lane: str) -> None:
         """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""
@@ -168,14 +148,6 @@ def driven(speed: float, target: float, acceleration: float | None, dt: float) -
     change = acceleration * dt
     after = min(max(target, speed - change), speed + change)
     return after, (speed + after) / 2.0 * dt
-
-
-def speed_before(light: Light, speed: float, dt: float) -> float:
-    """Highest speed [m/s] after `dt` [s] of a vehicle that stops at a light; inf where it need not or no longer can."""
-    if light.state not in STOPS_FOR or speed * speed > 2.0 * STOPS_FOR[light.state] * light.distance:
-        return math.inf
-    room = max(light.distance - STOP_DISTANCE, 0.0)
-    return max(math.sqrt(2.0 * BRAKING * room), speed - HARDEST * dt)
 
 
 def coast(speed: float, dt: float) -> tuple[float, float]:

@@ -10,6 +10,7 @@ from collections.abc import Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
+from sumo_env.contacts.rectangles import CAR
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.sumo.session import (
@@ -168,7 +169,13 @@ class Events:
         x, y, speed, _ = states.pop(name)
         geometry = self._network.road.lane(lane)
         s, _ = geometry.local_coordinates(x, y)
-        return has_room((*geometry.position(s, 0.0), speed, geometry.heading_at(s)), list(states.values()))
+        there = *geometry.position(s, 0.0), speed, geometry.heading_at(s)
+        # what is smaller than a car is given the room of one
+        halves = [
+            (max(length, CAR[0]), max(width, CAR[1]))
+            for length, width in self._session.halves((name, *states))
+        ]
+        return has_room(there, list(states.values()), halves)
 
     def _end_cut_in(self, name: str) -> None:
         if self._network.road.oncoming:

@@ -5,18 +5,22 @@ Its type limits what commands can do. Without a target speed or a target lane SU
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, sqrt
 
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scene import NOBODY, Neighbour, Place
+from sumo_env.scene import NOBODY, RED, YELLOW, Light, Neighbour, Place
 from sumo_env.simulator import EgoCommand
-from sumo_env.sumo.ego import Controls, coast, driven, speed_before
+from sumo_env.sumo.ego import Controls, coast, driven
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
 from sumo_env.sumo.surroundings import foe, neighbours
 
 REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
+# [m/s2] usual and hardest braking before traffic lights; where one would need more than its own, the ego drives on
+BRAKING, HARDEST = 4.0, 9.0
+STOPS_FOR = {RED: 8.0, YELLOW: 5.0}
+STOP_DISTANCE = 1.0  # [m] from its front to the stop line
 
 
 class RouteEgo:
@@ -106,7 +110,8 @@ class RouteEgo:
     def settle(self, dt: float) -> float:
         """After the step: what SUMO has made of the commands; returns the distance that was driven [m]."""
         session, before = self._session, self._lane
-        self.speed = session.vehicle.getSpeed(self._name)
+        if not self.ended:  # at the end of a lane from which its route cannot go on, SUMO stops it at once
+            self.speed = session.vehicle.getSpeed(self._name)
         if self._measures_energy:
             self._fuel += session.vehicle.getFuelConsumption(self._name) * dt
             self._electricity += session.vehicle.getElectricityConsumption(self._name) * dt
@@ -238,3 +243,11 @@ class RouteEgo:
         last = self._network.road.count(start, end) - 1
         left, right = (self._network.sumo_index((start, end, place)) for place in (0, last))
         return found if left >= right else (*found[4:], *found[2:4], *found[:2])
+
+
+def speed_before(light: Light, speed: float, dt: float) -> float:
+    """Highest speed [m/s] after `dt` [s] of a vehicle that stops at a light; inf where it need not or no longer can."""
+    if light.state not in STOPS_FOR or speed * speed > 2.0 * STOPS_FOR[light.state] * light.distance:
+        return inf
+    room = max(light.distance - STOP_DISTANCE, 0.0)
+    return max(sqrt(2.0 * BRAKING * room), speed - HARDEST * dt)

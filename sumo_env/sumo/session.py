@@ -51,7 +51,6 @@ class Session:
         self.sumo = engine.module
         self.vehicle, self.simulation = self.sumo.vehicle, self.sumo.simulation
         self.step_length = 0.0  # [s] as SUMO counts time, in whole milliseconds: 0.067 at 15 Hz
-        self.has_lights = False  # whether the network has traffic lights
         # length and width [m] of the vehicles on the road that do not have highway-env's size
         self.sizes: dict[str, tuple[float, float]] = {}
         self.arrived: tuple[str, ...] = ()  # who has left the road in the last step, at the end of the route
@@ -86,7 +85,6 @@ class Session:
         self._limits.clear()
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
-        self.has_lights = self.sumo.trafficlight.getIDCount() > 0
 
     def clear(self, settings: Settings) -> bool:
         """Empty the road where these settings are loaded; the rest goes on. False where they are not.
@@ -103,7 +101,7 @@ class Session:
         return True
 
     def _clock_is_ours(self) -> bool:
-        """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
+        """True if only this session has stepped SUMO. A loaded state would also have rounded vehicle types."""
         return abs(self.simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
 
     def forget(self) -> None:
@@ -218,12 +216,12 @@ class Session:
 
     def next_signal(self, name: str) -> tuple[str, int, float] | None:
         """The next traffic light on a vehicle's way: its id, the number of the connection, distance [m]."""
-        ahead = self.vehicle.getNextTLS(name) if self.has_lights else ()
+        ahead = self.vehicle.getNextTLS(name)
         return (str(ahead[0][0]), int(ahead[0][1]), float(ahead[0][2])) if ahead else None
 
     def next_light(self, name: str) -> Light:
         """The next traffic light on a vehicle's way."""
-        for signal, _, distance, letter in self.vehicle.getNextTLS(name) if self.has_lights else ():
+        for signal, _, distance, letter in self.vehicle.getNextTLS(name):
             if letter in LIGHTS:
                 left = self.sumo.trafficlight.getNextSwitch(signal) - self.simulation.getTime()
                 return Light(LIGHTS[letter], float(distance), max(float(left), 0.0))

@@ -20,6 +20,8 @@ from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO
 
 FASTEST = 200.0  # [m/s] no two vehicles close in faster
+# Shapes of vehicles of several parts: SUMO's angle is that of the first one, and the others follow the lane.
+BENDING = {"bus/flexible", "rail", "rail/railcar", "rail/cargo", "truck/semitrailer", "truck/trailer"}
 
 
 class Surroundings:
@@ -98,7 +100,15 @@ class Surroundings:
         if self._meeting is None or not found:
             return found
         halves = dict(zip(found, self._session.halves(found), strict=False))
-        return [name for name in found if name in reported or self._can_meet(name, halves.get(name, CAR), dt)]
+        return [
+            name
+            for name in found
+            if name in reported or (not self._bends(name) and self._can_meet(name, halves.get(name, CAR), dt))
+        ]
+
+    def _bends(self, name: str) -> bool:
+        """Whether a vehicle or the ego has several parts, and one straight outline says nothing in a bend."""
+        return any(self._session.vehicle.getShapeClass(one) in BENDING for one in (name, self._name))
 
     def _own_half(self) -> Half:
         """The ego's half size [m]."""

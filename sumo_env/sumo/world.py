@@ -18,7 +18,6 @@ import numpy as np
 
 from sumo_env.contacts.crash import CrashRecord, is_confirmed
 from sumo_env.contacts.rectangles import State
-from sumo_env.networks.files import is_file
 from sumo_env.scene import NO_LIGHT, Light, Place, Scene
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo.car import Car
@@ -65,10 +64,10 @@ class SumoSimulator:
                 self._session.forget()
                 self._check_window(error)
                 refusal = error
-        files = "" if scenario.traffic is None else f" of {dict(scenario.traffic.options)['net-file']}"
+        files = "" if scenario.traffic is None else f" of {scenario.net}"
         raise SimulatorError(
             f"SUMO cannot begin this episode{files} ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it "
-            f"says is above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
+            f"says is above; was it given wrong files, options ({' '.join(self._options) or 'none'}) or vehicle types?"
         ) from refusal
 
     def step(self, commands: Commands, trace: bool = False) -> Step:
@@ -368,21 +367,19 @@ class SumoSimulator:
 
     def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:
         """What a learning car has ahead of it."""
-        return self._session.next_light(name), None
+        return NO_LIGHT, None
 
 
 def _leaves_traces(scenario: Scenario) -> bool:
     """Whether the next episode would owe something to this one, were it only removed from the road.
 
-    Traffic lights of a network of one's own go on, and other car-following models draw from SUMO's random numbers.
+    Other car-following models draw from SUMO's random numbers.
     """
     drivers = (
         *(spec.driver for spec in scenario.specs),
         *(spawn.vehicle.driver for spawn in scenario.spawns),
     )
-    return is_file(scenario.net) or any(
-        name in NOISY or name.endswith("Prob") for driver in drivers for name, _ in driver.attributes
-    )
+    return any(name in NOISY or name.endswith("Prob") for driver in drivers for name, _ in driver.attributes)
 
 
 def _words(error: Exception) -> str:

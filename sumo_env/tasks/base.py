@@ -6,13 +6,11 @@ import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from sumo_env.config import MEASURED, Config, ConfigError, pace, simulated_frequency
-from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
 from sumo_env.streams import stream
@@ -73,8 +71,6 @@ class Task:
     defaults: Config
     ego_road: tuple[str, str]  # where the ego starts
     levels: ClassVar[dict[str, Config]]  # the paper's traffic levels, lowest first
-    net: str = ""  # file of the SUMO network, on a road of one's own
-    routes: Mapping[str, Sequence[str]] = MappingProxyType({})  # on that network: name -> SUMO's edges
     car_following: ClassVar[CarFollowing] = CarFollowing()
     calibration: ClassVar[Calibration] = Calibration()
     warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
@@ -93,16 +89,12 @@ class Task:
         return self  # immutable
 
     def road(self, config: Config) -> Road:
-        """The road of this task in highway-env's geometry; that of the SUMO network `net`, if there is one."""
-        return files.network(self.net, self._routes).road
+        """The road of this task in highway-env's geometry."""
+        raise NotImplementedError
 
     def frequency(self, config: Config) -> int:
         """Steps that are simulated per second [Hz]."""
         return simulated_frequency(config)
-
-    @property
-    def _routes(self) -> files.Routes:
-        return tuple((name, tuple(edges)) for name, edges in self.routes.items())
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
         """The ego at the start."""
@@ -240,12 +232,10 @@ class Task:
             simulation_frequency=self.frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             warm_up=self.warm_up,
-            net=self.net or road.name,
+            net=road.name,
             road_arguments=road.arguments,
-            routes=self._routes,
             pools=self.pools(config["risk"]),
             calibration=self.calibration,
-            obeys_lights=bool(config.get("obey_traffic_lights", False)),
             further=tuple(car_id(number) for number in range(1, cars)),
         )
         return self.measured.driving(scenario) if config.get("drivers") == MEASURED else scenario
@@ -309,12 +299,15 @@ def make_on_lane(
     return VehicleSpec(id, *pose, speed, wanted, destination, driver, changes_lanes, timer, concerns_ego)
 
 
-def nearest_index(speed: float, ladder: Sequence[float]) -> int:
+# The replica compiles the first two functions and `speed_term`: plain floats and sequences only.
+
+
+def nearest_index(speed: float, speeds: Sequence[float]) -> int:
     """Index of the evenly spaced target speed nearest to a speed [m/s] (``MDPVehicle.speed_to_index``)."""
-    last = len(ladder) - 1
+    last = len(speeds) - 1
     if last == 0:
         return 0
-    position = (speed - ladder[0]) / (ladder[last] - ladder[0])
+    position = (speed - speeds[0]) / (speeds[last] - speeds[0])
     return min(max(round(position * last), 0), last)
 
 

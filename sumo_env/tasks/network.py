@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from sumo_env.traffic.drivers import LACKING
 from sumo_env.traffic.foreign import UNSORTED, check_files
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
-from sumo_env.traffic.sumo_files import configuration, is_output, paths, seconds
+from sumo_env.traffic.sumo_files import configuration, is_output, paths, plain_path, seconds
 
 Route = Sequence[str]
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
@@ -39,7 +39,6 @@ class NetworkTask(Task):
             "type": "Kinematics",
             "vehicles_count": 10,
             "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h", *ON_ITS_WAY],
-            "features_range": {},  # made of the network's speed limits, see `_ranges`
         },
         "action": DISCRETE_META_ACTION,
         "vehicles_count": 20,  # placed at random on the routes that are given as lists
@@ -82,18 +81,19 @@ class NetworkTask(Task):
         """See `sumo_env.env.SumoDrivingEnv`; errors are ValueErrors."""
         (file,) = paths("network", network)
         self.outputs: tuple[tuple[str, str], ...] = ()  # of the configuration, which are off
-        options = {"net-file": str(file)}
         if file.name.endswith(".sumocfg"):
             options = configuration(file)
             self.outputs = tuple((name, value) for name, value in options.items() if is_output(name))
             options = {name: value for name, value in options.items() if not is_output(name)}
-        self.net = options["net-file"]
+        else:
+            options = {"net-file": str(plain_path(file))}
         drawn = self._take_routes(routes, options)
         if added := paths("additional", additional):
             _append(options, "additional-files", added)
         self._options = options
         contents = self._contents = check_files(options)
-        self._driven = files.network(self.net)
+        self._driven = files.network(options["net-file"])
+        self.net = str(self._driven.net_file)
         for name, way in self._drawn:
             files.check_route(self._driven, name, way)
         self._first = None if "begin" in options else contents.first_departure
@@ -109,10 +109,12 @@ class NetworkTask(Task):
         self._limit = self._speed_limit()
         if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
             self.target_speeds = (0.0, round(self._limit / 2, 2), round(self._limit, 2))
-        seen = {
-            **self.defaults["observation"],
-            "features_range": self.defaults["observation"]["features_range"] or _ranges(self._limit),
-        }
+        # what a Kinematics table has unless it is said; a subclass may see something else
+        table = {**NetworkTask.defaults["observation"], "features_range": _ranges(self._limit)}
+        seen = self.defaults["observation"]
+        if seen["type"] == table["type"]:
+            seen = table = {**table, **seen}
+        self.table: Config = table
         self.defaults = {
             **self.defaults,
             "observation": seen,
@@ -195,7 +197,7 @@ class NetworkTask(Task):
 
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: the ego's way, and what is drawn of the traffic."""
-        models = self._models if config["risk"] else ()
+        models = tuple(self._contents.models.items()) if config["risk"] else ()
         for model in sorted({model for _, model in models} & LACKING.keys()):
             lacks = ", ".join(LACKING[model])
             _warn_once(
@@ -257,10 +259,6 @@ class NetworkTask(Task):
                 f"config key 'traffic_scale' must be [low, high] from 0 on, not {[low, high]!r}"
             )
         return float(stream(seed, "traffic scale").uniform(low, high)) if low < high else float(low)
-
-    @cached_property
-    def _models(self) -> tuple[tuple[str, str], ...]:
-        return tuple(self._contents.models.items())
 
     def _begin(self, config: Config) -> float | None:
         """Where SUMO's clock begins [s]; None where the files say it."""

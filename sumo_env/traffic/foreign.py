@@ -53,25 +53,34 @@ NUMBERS = (
 # Options of a configuration; those of time are in seconds.
 LIMITS = {"step-length": (0.001, 10.0), "default.action-step-length": (0.0, 100.0), "scale": (0.0, 10.0)}
 LIMITS |= {
+    "default.speeddev": (0.0, 10.0),
     "threads": (0, 64),
     "device.rerouting.threads": (0, 64),
     "thread-rngs": (1, 1024),
     "precision": (0, 20),
 }
-# What is possible, by element; of a distribution such as normc(1, 0.1) each number has to be.
+# What is possible, by element; the numbers of a distribution such as normc(1, 0.1) are at most the upper limit.
 A_TYPE = {"length": (0.1, 1e3), "width": (0.1, 20.0), "accel": (0.01, 100.0), "decel": (0.01, 100.0)}
 A_TYPE |= {
     "maxSpeed": (0.1, 1e3),
     "actionStepLength": (0.0, 100.0),
     "scale": (0.0, 10.0),
     "speedFactor": (0.01, 10.0),
+    "speedDev": (0.0, 10.0),
+    "tau": (0.0, 1e3),
+    "minGap": (0.0, 1e3),
 }
 RANGES = {
     "lane": {"length": (1e-3, LARGEST), "width": (1e-3, LARGEST), "speed": (0.0, 1e3)},
     "vType": A_TYPE,
     "route": {"repeat": (0.0, 1e4)},
+    "step": {"speed": (-1e3, 1e3)},
+    **{tag: {"length": (0.0, 1e5)} for tag in ("laneAreaDetector", "e2Detector")},
     "phase": {"duration": (1e-3, LARGEST)},
-    **{tag: {"departPos": (-1e5, 1e5), "speedFactor": (0.01, 10.0)} for tag in ("vehicle", "trip", "flow")},
+    **{
+        tag: {"departPos": (-1e5, 1e5), "departPosLat": (-1e3, 1e3), "speedFactor": (0.01, 10.0)}
+        for tag in ("vehicle", "trip", "flow")
+    },
 }
 is_number = lru_cache(1000)(re.compile(NUMBERS).fullmatch)  # whether an attribute of this name is one
 WORDS = re.compile(r"[^\s,;:()]+")
@@ -151,24 +160,30 @@ def check_files(options: Mapping[str, str]) -> Contents:
         low, high = LIMITS.get(option, (-LARGEST, LARGEST))
         if not low <= _number(value.strip(), low) <= high:
             raise ConfigError(f"{option}={value!r} must be a number from {low:g} to {high:g}")
+        for name in value.split(","):
+            if os.path.exists(name) and not (os.path.isfile(name) or os.path.isdir(name)):
+                raise ConfigError(f"{option}={value!r} is no regular file: SUMO would wait for it")
     contents = Contents()
     for option in INPUTS:
-        is_network = option == "net-file"  # one file, whose name may have commas; lists have links without
-        given = options.get(option, "")
-        for name in filter(None, [given] if is_network else given.split(",")):
-            found = _check(Path(name), is_network, ())
+        for name in filter(None, options.get(option, "").split(",")):
+            found = _check(Path(name), option == "net-file", ())
             if option in ("additional-files", "route-files"):
                 contents.add(found, option == "route-files" and options.get("route-steps") != "0")
     return contents
 
 
 def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
-    """That outputs of a configuration, as (option, value), are files.
+    """That outputs of a configuration, as (option, value), are files, and go where the others go.
 
     Raises:
-        ConfigError: one opens a connection.
+        ConfigError: one opens a connection, or ignores the folder that is asked for.
     """
     for option, value in outputs:
+        if option == "vtk-output":
+            raise ConfigError(
+                f"{option}={value!r} is not written to output_dir but where the file says: take it out, or give it "
+                "among your sumo_options"
+            )
         if _is_connection(value):
             raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
 
@@ -194,16 +209,20 @@ def _read(path: Path, is_network: bool, changed: int, size: int) -> Found:
     """Check the elements of one file."""
     parser, departing = expat.ParserCreate(), Counter[str]()
     included, found = list[Path](), Found((), set(), {}, [])
-    depth, left = 0, UNPACKED
+    depth, left, lanes = 0, UNPACKED, 0  # lanes: of the present edge
 
     def refuse(what: str) -> NoReturn:
         raise ConfigError(f"{path}, line {parser.CurrentLineNumber}: {what}")
 
     def element(tag: str, has: Mapping[str, str]) -> None:
-        nonlocal depth
+        nonlocal depth, lanes
         depth += 1
-        if tag == "lane" and is_network and len(has.get("shape", "").split()) < 2:
-            refuse("a lane needs a shape of two points or more")
+        if tag == "lane" and is_network:
+            if (depth, has.get("index")) != (3, str(lanes)) or len(has.get("shape", "").split()) < 2:
+                refuse(f"expected lane {lanes} of an edge, with a shape of two points or more")
+            lanes += 1
+        elif tag == "edge":
+            lanes = 0
         if depth > DEEPEST:
             refuse(f"more than {DEEPEST} elements in each other")
         if is_network and tag in NOT_IN_NETWORKS:
@@ -217,9 +236,12 @@ def _read(path: Path, is_network: bool, changed: int, size: int) -> Found:
                         refuse(f'<{tag} {name}="{text:.60}"> is no number that SUMO can drive with')
             elif name in ("file", "output", "dest") and _is_connection(text):
                 refuse(f'<{tag} {name}="{text:.60}"> opens a connection to another program: name a file')
-            if (span := RANGES.get(tag, {}).get(name)) and not span[0] <= _number(text, span[0]) <= span[1]:
+            if span := RANGES.get(tag, {}).get(name):
                 low, high = span
-                refuse(f'<{tag} {name}="{text:.60}"> must be from {low:g} to {high:g}')
+                numbers = [_number(word, low) for word in WORDS.findall(text)]
+                is_cut = text.count("(") != text.count(")")
+                if is_cut or (numbers and not (low <= numbers[0] and max(numbers) <= high)):
+                    refuse(f'<{tag} {name}="{text:.60}"> must be from {low:g} to {high:g}')
         if has.get("vClass", "passenger") not in _classes():
             refuse(f'there is no vClass="{has["vClass"]:.60}"; SUMO would take another without a word')
         if not is_network:
@@ -263,7 +285,9 @@ def _read(path: Path, is_network: bool, changed: int, size: int) -> Found:
                     refuse("more than 4 GiB when it is unpacked")
                 parser.Parse(part)
             parser.Parse(b"", True)
-    except (OSError, EOFError, zlib.error, expat.ExpatError) as error:
+    except ConfigError:
+        raise
+    except (OSError, EOFError, LookupError, ValueError, zlib.error, expat.ExpatError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None
     return found._replace(includes=tuple(included))
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from math import cos, sin
 from typing import Any, Literal
 
-from sumo_env.contacts.rectangles import LENGTH, State, distance
+from sumo_env.contacts.rectangles import CAR, LENGTH, Half, State, distance
 from sumo_env.streams import stream
 
 FREE_WAY = 40.0  # [m]
 CUT_IN_GAP = 1.0  # [m] that a cut-in leaves to every other vehicle, else it does not happen
-LOOKED_AT = 4.0 * LENGTH  # [m] further away, along x and y together, nobody matters to a cut-in
+LOOKED_AT = 4.0 * LENGTH  # [m] vehicles further away, along x and y together, do not hinder a cut-in
 SWERVE_TIME = 3.0  # [s] that a cut-in into the lane of oncoming traffic lasts
 Kind = Literal["cut-in", "brake", "surge"]
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
@@ -103,12 +103,16 @@ def draw_events(
     return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))
 
 
-def has_room(there: State, others: Sequence[State]) -> bool:
-    """Would a vehicle in the state `there`, in the lane beside, be at least CUT_IN_GAP from every other vehicle?"""
+def has_room(there: State, others: Sequence[State], halves: Sequence[Half] = ()) -> bool:
+    """Would a vehicle in the state `there`, in the lane beside, be at least CUT_IN_GAP from every other vehicle?
+
+    halves: half sizes [m], of the vehicle first; all are cars without them.
+    """
+    own, *further = halves or (CAR,) * (1 + len(others))
     return all(
-        abs(other[0] - there[0]) + abs(other[1] - there[1]) > LOOKED_AT
-        or distance(there, other) >= CUT_IN_GAP
-        for other in others
+        abs(other[0] - there[0]) + abs(other[1] - there[1]) > LOOKED_AT + half[0] + own[0]
+        or distance(there, other, own, half) >= CUT_IN_GAP
+        for other, half in zip(others, further, strict=True)
     )
 
 

@@ -148,10 +148,9 @@ class Scenario:
             number of sub-steps that is not above their ratio.
         net: name of the road, or the file of a SUMO network.
         road_arguments: of `networks.roads.road`, beside the name of the road.
-        routes: SUMO's edges of the routes on a SUMO network, by name.
         pools: drivers that scenarios like this one are made of, which a simulator may load in advance.
         calibration: of SUMO's drivers.
-        obeys_lights: whether the ego stops at red and yellow traffic lights.
+        obeys_lights: whether the ego stops at red and yellow traffic lights of SUMO's files.
         traffic: of SUMO's files, in place of `vehicles`, `spawns` and `events`; the ego's place is then SUMO's choice.
     """
 
@@ -167,7 +166,6 @@ class Scenario:
     warm_up: float = 0.0
     net: str = ""
     road_arguments: tuple[tuple[str, float], ...] = ()
-    routes: files.Routes = ()
     pools: tuple[DriverPool, ...] = ()
     calibration: Calibration = UNCALIBRATED
     obeys_lights: bool = False
@@ -182,7 +180,7 @@ class Scenario:
         """The road in SUMO; ValueError if there is none."""
         name = self.net or self.task
         if files.is_file(name):
-            return files.network(name, self.routes)
+            return files.network(name)
         return mapping.network(name, **dict(self.road_arguments))
 
     @property

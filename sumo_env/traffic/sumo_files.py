@@ -69,7 +69,7 @@ def configuration(file: Path) -> dict[str, str]:
     """
     try:
         root = ElementTree.parse(file).getroot()
-    except (OSError, ElementTree.ParseError) as error:
+    except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
         raise ConfigError(f"{file} cannot be read: {error}") from error
     found: dict[str, str] = {}
     for section in root:
@@ -78,7 +78,11 @@ def configuration(file: Path) -> dict[str, str]:
         for item in (section, *section):
             value = item.get("value", item.get("v"))
             if value is not None:
-                found[SYNONYMS.get(item.tag, item.tag)] = value
+                name = SYNONYMS.get(item.tag, item.tag)
+                if found.setdefault(name, value) != value:  # SUMO refuses it as well
+                    raise ConfigError(
+                        f"{file}: the option {name!r} is given twice: {found[name]!r} and {value!r}"
+                    )
     for name in set(found).intersection(INPUTS):
         files = [file.parent / part.strip() for part in found[name].split(",") if part.strip()]
         found[name] = ",".join(map(str, paths(f"{file}: {name}", files)))
@@ -102,8 +106,8 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     for path in found:
         if not os.path.isfile(path):  # also where the name is longer than any
             raise ConfigError(f"{name}: there is no file {path}")
-    # the session does this for a network; of the others there may be several
-    return found if name.endswith(("network", "net-file")) else tuple(map(plain_path, found))
+    # a configuration is read here, and has files beside it
+    return found if name == "network" else tuple(map(plain_path, found))
 
 
 def plain_path(path: Path) -> Path:
@@ -168,10 +172,9 @@ def seconds(option: str, text: str) -> float:
     Raises:
         ConfigError: it is none.
     """
-    parts = text.split(":")
+    from sumolib.miscutils import parseTime  # late: it takes a tenth of a second
+
     try:
-        return float(
-            sum(float(part) * unit for part, unit in zip(reversed(parts), (1, 60, 3600, 86400), strict=False))
-        )
-    except ValueError:
+        return float(parseTime(text))
+    except (TypeError, ValueError):
         raise ConfigError(f"{option}={text!r} is no time") from None

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import gymnasium as gym
 import torch
 from torch.nn import functional
 
 from agents.models import Dueling, DuelingMLP
+
+
+def weights(policy: Any) -> bytes:
+    """Those of a policy's network."""
+    return b"".join(value.numpy().tobytes() for value in policy.network.state_dict().values())
 
 
 class Small(DuelingMLP):

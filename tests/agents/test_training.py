@@ -14,12 +14,12 @@ import pytest
 import torch
 
 from agents import training
-from agents.checkpoint import CheckpointError, save_arrays
+from agents.checkpoint import CheckpointError, load_arrays, save_arrays
 from agents.dqn import DQNConfig
 from agents.learner import Trained
 from agents.training import train
 from tests.agents import networks
-from tests.agents.networks import Small
+from tests.agents.networks import Small, weights
 from tests.experiments.computed import Interrupted, interrupting
 from tests.experiments.fake_env import FakeEnv
 
@@ -45,7 +45,7 @@ def network_of(env: FakeEnv, config: DQNConfig) -> Any:
 
 def assert_equal(one: Trained, other: Trained) -> None:
     """Bit for bit."""
-    assert one.policy.sha256 == other.policy.sha256
+    assert weights(one.policy) == weights(other.policy)
     assert one.record | {"interruption": ""} == other.record | {"interruption": ""}
     for name, column in one.episodes.items():
         np.testing.assert_array_equal(column, other.episodes[name], err_msg=name)
@@ -70,10 +70,7 @@ def test_episode_log_says_what_happened() -> None:
     assert list(log["episode"]) == list(range(len(log["episode"])))
     np.testing.assert_array_equal(np.cumsum(log["length"]), log["step"])
     assert (log["length"][~log["crashed"]] == 20).all()
-    assert log["crashed"].any() and not log["crashed"].all() and not log["arrived"].any()
-    np.testing.assert_allclose(log["epsilon"], [SMALL.epsilon(step) for step in log["step"]])
-    whole = ~log["crashed"]  # the reward is linear in the speed
-    np.testing.assert_allclose(log["return"][whole], 20 * log["mean_speed"][whole] / 30)
+    assert log["crashed"].any() and not log["crashed"].all()
 
 
 def test_one_seed_meets_the_same_scenarios_in_both_arms() -> None:
@@ -162,6 +159,35 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path, changed: dict[str
         train(road(), **(arguments | changed))
 
 
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("dqn.online.mean", lambda a: a * np.nan),
+        ("dqn.replay.rewards", lambda a: a + np.inf),
+        ("max_abs_reward", lambda a: a * np.nan),
+        ("log.return", lambda a: a[:-1]),
+        ("log.step", lambda a: a + 1),
+        ("log.episode", lambda a: a * 0),
+        ("steps", lambda a: a + 1),
+        ("dqn.updates", lambda a: a * 999),
+        ("dqn.updates", lambda a: a + 0.5),
+        ("dqn.replay.actions", lambda a: a + 99),
+        ("dqn.replay.terminated", lambda a: a + 7),
+        ("dqn.adam.exp_avg", lambda a: a[:-1]),
+        ("settings", lambda _: np.array("[" * 100_000)),
+    ],
+)
+def test_a_checkpoint_that_cannot_be_is_refused(tmp_path, name: str, change: Any) -> None:
+    file = tmp_path / "checkpoint.npz"
+    train(road(), replace(SMALL, updates=20), 0, checkpoint=file)
+    arrays = load_arrays(file)
+    save_arrays(file, {**arrays, name: change(arrays[name])})
+    with pytest.raises(
+        CheckpointError, match="is no checkpoint" if name == "settings" else name.removeprefix("dqn.")
+    ):
+        train(road(), replace(SMALL, updates=20), 0, checkpoint=file)
+
+
 @pytest.mark.slow
 def test_a_target_network_without_lag_shows_as_divergence() -> None:
     """The copy after every update at gamma .99: values far beyond the bound, and a constant policy."""
@@ -191,7 +217,7 @@ def test_values_are_watched_on_the_first_observations() -> None:
     first = again.agent.replay.first(SMALL.warm_up)
     probe_size = len(first)
     watched = train(road(), replace(SMALL, probe_size=probe_size), 0)
-    assert watched.policy.sha256 == trained.policy.sha256  # watching changes nothing
+    assert weights(watched.policy) == weights(trained.policy)  # watching changes nothing
     policy: Any = watched.policy
     values = np.array([np.abs(policy.q(observation)).max() for observation in first])
     assert watched.record["probe_q"][-1][1:] == pytest.approx([values.mean(), values.max()])
@@ -200,8 +226,6 @@ def test_values_are_watched_on_the_first_observations() -> None:
 def test_wrong_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="Box observations and Discrete actions"):
         train(gym.make("Pendulum-v1"), SMALL, 0)
-    with pytest.raises(ValueError, match="checkpoint_interval"):
-        train(road(), SMALL, 0, checkpoint_interval=0)
     with pytest.raises(ValueError, match="unknown network"):
         train(road(), replace(SMALL, network="none"), 0)
 

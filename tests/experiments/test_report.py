@@ -17,9 +17,7 @@ from experiments.analysis.analysis import DESCRIPTIVE, analyse, policies, stored
 from experiments.analysis.effects import means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
-from experiments.reporting.page import checks
 from experiments.reporting.tables import difference, main
-from experiments.study.design.verdict import SCHEMA
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
@@ -87,7 +85,7 @@ class TestReport:
         assert len(table) == 3 * 8 * 2
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(table)
         appendix = (directory / "appendix.html").read_text()
-        assert "settings are significant" in appendix and "the largest effect is 0" in appendix
+        assert "settings are significant" in appendix
 
     def test_a_stored_analysis_of_an_earlier_or_later_version_is_read(self, directory, tmp_path):
         value = json.loads((directory / "analysis.json").read_text())
@@ -115,6 +113,12 @@ class TestReport:
         pages = [link for link in page.values("href") if not link.startswith("https://arxiv.org/")]
         assert all((directory / link).exists() for link in pages)
         assert not re.search(r"\b(nan|None|inf|undefined)\b|{[{%]", page.text)
+
+    def test_cells_name_their_columns_for_a_phone_which_shows_no_heads(self, directory):
+        text = (directory / "report.html").read_text()
+        heads = {head.strip() for head in re.findall(r"<th>(.*?)</th>", text)}
+        named = re.findall(r'<td data-column="(.*?)"', text)
+        assert named and set(named) <= heads
 
     def test_is_the_same_for_the_same_cells(self, directory):
         names = ("report.html", "appendix.html", "report.md", "analysis.json", "summary.csv", "effects.csv")
@@ -217,13 +221,13 @@ class TestIncomplete:
 
 
 @pytest.mark.usefixtures("words_alone")
-def test_films_of_the_folder_are_shown_and_the_validation_is_told_in_sizes(tmp_path):
+def test_films_of_the_folder_are_shown_and_the_validation_is_told_in_sizes(tmp_path, monkeypatch):
     missed = {"traffic": "risky", "level": "3", "name": "crash rate", "ego": "idm",
               "sumo": 0.76, "reference": 0.58, "difference": 0.18, "margin": 0.15, "note": ""}  # fmt: skip
     u_turn = {"passed": False, "counts": {"equivalent": 5, "within": 3, "missed": 1}, "missed": [missed]}
-    verdict = {"schema": SCHEMA, "backend": "sumo", "source": "a test", "versions": {}, "fingerprints": {}}
-    (tmp_path / "verdict.json").write_text(json.dumps({**verdict, "tasks": {"u-turn": u_turn}}))
-    assert checks(tmp_path, ["replica"]) == {"relevant": False, "total": 0, "missed": []}
+    monkeypatch.setattr(
+        "experiments.reporting.page.verdicts", lambda cells: {"u-turn": u_turn} if cells else {}
+    )
     (tmp_path / "film.gif").write_bytes(b"GIF89a")
     (tmp_path / "folder.gif").mkdir()
     page = write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4)

@@ -117,7 +117,7 @@ def test_cells_say_what_they_are_and_where_they_come_from(reference):
         assert record["versions"]["schema"] == grid.RESULT_SCHEMA
         assert {"python", "cpu", "git", "packages"} <= set(record["provenance"])
         assert record["timing"]["test_seconds"] > 0
-    assert len({record["learner"]["weights_sha256"] for record in agents}) == len(agents)
+    assert len({record["files"]["weights.npz"] for record in agents}) == len(agents)
 
 
 def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeypatch, capsys, here):
@@ -356,7 +356,6 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
 LEARNER = """
 from __future__ import annotations
 from dataclasses import dataclass
-from pathlib import Path
 import numpy as np
 import torch
 from agents.greedy import Greedy
@@ -367,7 +366,6 @@ class Settings:
     steps: int = 40
     scale: float = 1.0
     updates: int = 0
-    start: Path = Path()
 
 def network(env, scale):
     torch.manual_seed(0)
@@ -392,27 +390,6 @@ class Guess:
     def load(self, path, settings, env):
         return Greedy.load(path, network(env, settings.scale))
 """
-
-
-def test_a_file_that_a_setting_names_is_part_of_the_name_by_its_content(tmp_path):
-    file, start = tmp_path / "guess.py", tmp_path / "start.npz"
-    file.write_text(LEARNER + "\nown = Guess()\n")
-    own = {"learner": f"{file}:own", "updates": None, "network": None}
-
-    def agents(*settings: str) -> dict[str, Any]:
-        tasks = tasks_of(tmp_path, settings=settings, **own)
-        return {task.name: task for task in tasks if task.cell.arm}
-
-    start.write_text("weights")
-    first, again, without = agents(f"start={start}"), agents(f"start={start}"), agents()
-    assert set(first) == set(again) and not set(first) & set(without)
-    assert all("start_sha256" not in task.cell.profile for task in without.values())
-    start.write_text("other weights")
-    assert not set(agents(f"start={start}")) & set(first)
-    ended = attempt(next(iter(first.values())))
-    assert ended.state == "fatal" and "the file of the setting start has changed" in ended.reason
-    with pytest.raises(UserError, match="there is no file"):
-        agents(f"start={tmp_path / 'none.npz'}")
 
 
 @pytest.mark.parametrize("name", ["sb3-ppo", "guess.py:own"])

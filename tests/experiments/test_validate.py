@@ -25,6 +25,8 @@ def test_the_command_writes_what_it_found(tmp_path: Path, monkeypatch: pytest.Mo
     rows = (tmp_path / "validation.html").read_text().count("<tr")
     assert rows == sum(len(table) + 1 for table in tables(record).values())  # each with a head
     assert record["tasks"]["u-turn"]["counts"]["missed"] == len(tables(record)[MISSED])
-    stored = verdict.of_results(tmp_path)
+    stored = json.loads((tmp_path / "verdict.json").read_text())
     assert stored == {name: record[name] for name in stored}
-    assert verdict.covers(stored, {"u-turn": dynamics("sumo", "u-turn")})
+    monkeypatch.setattr(verdict, "STORED", tmp_path / "verdict.json")
+    key = {"task": "u-turn", "dynamics": dynamics("sumo", "u-turn")}
+    assert verdict.verdicts([{"key": key, "versions": verdict.versions()}]) == record["tasks"]

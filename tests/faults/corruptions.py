@@ -395,10 +395,16 @@ def cases(home: Path) -> Iterator[Case]:
 
     def trained() -> str:
         done: Any = train(FakeEnv("u-turn", {"duration": 10}), config, 0, checkpoint=checkpoint)
-        return digest([v.tolist() for v in done.policy.network.state_dict().values()])
+        return digest([v.tolist() for v in done.policy.network.state_dict().values()]) + digest(
+            {name: value for name, value in done.record.items() if name != "interruption"}
+        )
 
     trained()
-    for way, damage in {**spoilt(checkpoint), **of_arrays(checkpoint)}.items():
+    for way, damage in {
+        **spoilt(checkpoint),
+        **of_arrays(checkpoint),
+        **judged.checkpoints(checkpoint),
+    }.items():
         yield f"checkpoint: {way}", checkpoint, damage, trained
     town = written(home / "town", "static").parent
     for name in ("grid.net.xml", "t.rou.xml", "t.sumocfg", "t.add.xml"):

@@ -61,6 +61,7 @@ RECORDS: dict[str, tuple[Any, ...]] = {
     "key.eval.first_scenario": (HUGE - 1, -1, "0"),
     "key.seed": (HUGE - 1, 10**30, True, "0", -1, None, 0.5),
     "key.env_config.vehicles_count": (HUGE, -1, "many"),
+    "key.env_config.policy_frequency": (0, -1, "often", 1e-9, None),
     "key.env_config.duration": (HUGE, 0, -5),
     "key.env_config.simulation_frequency": (10**7, 0),
     "key.env_config.screen_width": (10**6, 0),
@@ -227,6 +228,36 @@ def archives(file: Path) -> dict[str, Act]:
             file.rename(file.with_suffix(".old")).with_suffix(".npz").symlink_to(f"{file.stem}.old")
         ),
         "unreadable": lambda: file.chmod(0),
+    }
+
+
+# Entries of a checkpoint, and odd values of each: all numbers of it are replaced.
+CHECKPOINTS: dict[str, tuple[Any, ...]] = {
+    **dict.fromkeys(("dqn.online.mean", "dqn.target.network.base.0.weight", "dqn.adam.exp_avg"), (np.nan,)),
+    **dict.fromkeys(("dqn.replay.observations", "dqn.replay.rewards", "probe", "looks"), (np.inf,)),
+    "dqn.replay.actions": (99, -1),
+    "dqn.replay.terminated": (7,),
+    "dqn.updates": (999, -1, 2.5),
+    "dqn.replay.added": (58, -1, HUGE),
+    "steps": (0, -1, HUGE),
+    "log.episode": (0,),
+    "log.step": (5,),
+    "log.return": (np.nan,),
+    "max_abs_reward": (np.nan,),
+    "dqn.exploration": ("{}", "x"),
+    "settings": ("null", "[" * 100_000),
+}
+
+
+def checkpoints(file: Path) -> dict[str, Act]:
+    """Checkpoints with numbers that no training writes."""
+    arrays = load_arrays(file)
+    return {
+        f"{name}={str(value)[:20]}": partial(
+            save_arrays, file, {**arrays, name: np.full(arrays[name].shape, value)}
+        )
+        for name, values in CHECKPOINTS.items()
+        for value in values
     }
 
 

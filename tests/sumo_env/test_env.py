@@ -125,6 +125,11 @@ def test_a_wrong_configuration_is_named(task: str, config: dict[str, Any], messa
     assert "\n" not in str(caught.value)
 
 
+def test_a_configuration_that_is_no_dict_is_named_by_gymnasium_s_make_too() -> None:
+    with pytest.raises(ConfigError, match="must be a dict such as"):
+        gym.make("sumo/highway-v0", config=["risk"])
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_hints_do_not_mislead(task: str) -> None:
     """Keys of other tasks, of highway-env itself and of public scripts are not taken for keys that look like them."""

@@ -356,4 +356,6 @@ class TestHints:
 def test_the_site_replaces_the_files_of_the_repository(monkeypatch: pytest.MonkeyPatch) -> None:
     assert hints.page("limits", "risk") == "docs/limits.md#risk"
     monkeypatch.setattr(hints, "DOCUMENTATION", "https://example.org/sumo")
-    assert hints.page("limits", "risk") == "https://example.org/sumo/limits/#risk"
+    assert (
+        hints.page("limits", "risk") == "https://example.org/sumo/limits.html#risk"
+    )  # use_directory_urls: false

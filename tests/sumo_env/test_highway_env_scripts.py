@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import AddRenderObservation, FlattenObservation, RecordVideo
 
-import sumo_env  # noqa: F401  (in place of highway_env)
-from sumo_env.config import ConfigError
+import sumo_env  # in place of highway_env
+from sumo_env.config import ConfigError, ignore
 from sumo_env.envs import HighwayEnv, IntersectionEnv
 
 FEW = {"vehicles_count": 6, "duration": 4}
@@ -58,6 +58,11 @@ def test_ppo_trains_on_several_environments_with_a_whole_configuration() -> None
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=8, n_epochs=1)
     model.learn(16)
     envs.close()
+
+
+def test_the_classes_are_found_below_the_package() -> None:
+    """As ``import highway_env`` finds ``highway_env.envs.HighwayEnv``."""
+    assert sumo_env.envs.HighwayEnv is HighwayEnv
 
 
 class OwnReward(HighwayEnv):
@@ -217,6 +222,93 @@ def test_a_subclass_of_the_intersection_tells_more() -> None:
     observation, info = env.reset(seed=0)
     assert observation.ndim == 1 and info["near"] >= 0
     assert not env.step(1)[4]["is_success"]
+
+
+@pytest.mark.parametrize("road", ["highway", "roundabout", "intersection"])
+def test_one_configuration_serves_several_roads(road: str, recwarn: pytest.WarningsRecorder) -> None:
+    """Keys of other roads and of other versions, also within an observation and an action; the latest id first."""
+    config: dict[str, Any] = {
+        "observation": {"type": "Kinematics", "vehicles_count": 8, "absolute": True, "normalize": False,
+                        "features_range": {"x": [-120, 120]}, "see_ego": True},
+        "action": {"type": "DiscreteMetaAction", "actions": ["IDLE", "FASTER", "SLOWER"]},
+        "lanes_count": 2, "vehicles_count": 5, "ego_spacing": 2, "duration": 2, "reward_speed_range": [20, 30],
+        "right_lane_reward": 0.1, "normalize_reward": True, "offroad_terminal": False,
+    }  # fmt: skip
+    try:
+        env: Any = gym.make(f"sumo/{road}-v9")
+    except gym.error.VersionNotFound:
+        env = gym.make(f"sumo/{road}-v0")
+    ignore.cache_clear()
+    env.unwrapped.configure(config)
+    observation, _ = env.reset(seed=1)
+    assert env.observation_space.contains(observation) and len(observation) == 8
+    while not any(env.step(env.action_space.sample())[2:4]):
+        pass
+    told = " ".join(str(warned.message) for warned in recwarn)
+    assert "'see_ego' has no effect" in told and "'actions' has no effect" in told
+    with pytest.raises(ConfigError, match="did you mean 'absolute'"):
+        env.unwrapped.configure({"observation": {**config["observation"], "absolut": True}})
+
+
+def policy_gradient_step(env: Any, weights: Any, seed: int) -> float:
+    """REINFORCE on one episode, with a linear policy."""
+    torch = pytest.importorskip("torch")
+    observation, _ = env.reset(seed=seed)
+    chosen, rewards, over = [], [], False
+    while not over:
+        logits = weights @ torch.as_tensor(observation.flatten())
+        choice = torch.distributions.Categorical(logits=logits)
+        action = choice.sample()
+        chosen.append(choice.log_prob(action))
+        observation, reward, terminated, truncated, _ = env.step(action.item())
+        rewards.append(reward)
+        over = terminated or truncated
+    loss = -sum(logarithm * sum(rewards[step:]) for step, logarithm in enumerate(chosen))
+    weights.grad = None
+    loss.backward()
+    with torch.no_grad():
+        weights -= 0.01 * weights.grad
+    return float(sum(rewards))
+
+
+def test_a_policy_gradient_in_plain_torch_trains_on_flat_observations() -> None:
+    torch = pytest.importorskip("torch")
+    env = gym.make("sumo/highway-fast-v0", config={**FEW, "policy_frequency": 2}, render_mode=None)
+    assert isinstance(env.action_space, gym.spaces.Discrete)
+    size = int(np.prod(env.observation_space.shape or ()))
+    weights = torch.zeros((int(env.action_space.n), size), requires_grad=True)
+    returns = [policy_gradient_step(env, weights, seed=10_000 + episode) for episode in range(2)]
+    assert min(returns) > 0.0 and bool(weights.detach().abs().sum() > 0)
+
+
+class Overtaking(gym.Wrapper[Any, Any, Any, Any]):
+    """Looks for the vehicle ahead itself, and walks over the lanes by their numbers."""
+
+    def step(self, action: Any) -> Any:
+        observation, paid, terminated, truncated, info = self.env.step(action)
+        inner: Any = self.env.unwrapped
+        ego, reward = inner.vehicle, float(paid)
+        start, end, own = ego.lane_index
+        lanes = [inner.road.network.get_lane((start, end, k)) for k in range(inner.config["lanes_count"])]
+        ahead = [v for v in inner.road.vehicles if v.lane_index[2] == own and v.position[0] > ego.position[0]]
+        nearest = min(ahead, key=lambda v: v.position[0], default=None)
+        if nearest is not None and ego.speed > nearest.speed + 5:
+            reward += 1.0
+        reward -= 0.1 * abs(ego.heading) + 0.1 * (ego.target_lane_index != ego.lane_index)
+        return (
+            observation,
+            reward,
+            terminated,
+            truncated,
+            {**info, "lengths": [lane.length for lane in lanes]},
+        )
+
+
+def test_a_wrapper_looks_for_the_vehicle_ahead() -> None:
+    env = Overtaking(gym.make("sumo/highway-v0", config=FEW))
+    env.reset(seed=0)
+    *_, info = env.step(np.int64(3))
+    assert len(set(info["lengths"])) == 1 and len(info["lengths"]) == 4
 
 
 def test_pictures_are_observed() -> None:

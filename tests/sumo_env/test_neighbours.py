@@ -15,6 +15,7 @@ from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.neighbours import neighbours_on
 from sumo_env.networks.roads import highway
 from sumo_env.scene import NOBODY, Neighbour, Scene
+from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, route_file
 
 IDLE, FASTER, SLOWER = 1, 3, 4
@@ -33,6 +34,19 @@ def road(path: Path, seed: int = 0, **config: Any) -> SumoDrivingEnv:
     env = SumoDrivingEnv(path, [["ab", "bc"]], ["ab", "bc"], {**QUIET, **config})
     env.reset(seed=seed)
     return env
+
+
+@pytest.mark.parametrize("seen", [SEEN, {"type": "Kinematics", "vehicles_count": 1}])
+def test_a_task_of_ones_own_may_see_something_else(tmp_path: Path, seen: dict[str, Any]) -> None:
+    """A configuration with a table of its own still has the network's features and ranges."""
+    sees: Any = type("Sees", (NetworkTask,), {"defaults": {**NetworkTask.defaults, "observation": seen}})
+    way = (net(tmp_path), [["ab", "bc"]], ["ab", "bc"])
+    env, usual = DrivingEnv(sees(*way)), SumoDrivingEnv(*way)
+    assert env.config["observation"].items() >= seen.items()
+    assert env.observation_space.shape == ((16,) if seen is SEEN else (1, 22))
+    for one in (env, usual):
+        one.configure({"observation": {"type": "Kinematics", "vehicles_count": 4}})
+    assert np.array_equal(env.reset(seed=0)[0], usual.reset(seed=0)[0])
 
 
 # -- leaders and followers -----------------------------------------------------------------------------------------

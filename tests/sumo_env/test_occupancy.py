@@ -80,7 +80,7 @@ def test_on_sumo_it_says_where_cars_are_and_how_fast() -> None:
         ({"grid_step": [1e-9, 5]}, "1 to 1000 cells"),
         ({"grid_size": "wide"}, "'grid_size' must be"),
         ({"features_range": {"vx": [3]}}, "'features_range' must map"),
-        ({"layers": 3}, "unknown key 'layers'"),
+        ({"grid_sizes": [[-5, 5], [-5, 5]]}, "unknown key 'grid_sizes'.*did you mean 'grid_size'"),
     ],
 )
 def test_mistakes_are_named(change: dict[str, Any], message: str) -> None:

@@ -13,13 +13,13 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from agents.learner import Trained, files_of
+from agents.learner import Trained
 from agents.streams import episode_seed
 from experiments.study.compute.policies import check
 from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
 from experiments.study.design.grid import Cell, learner_of
-from experiments.support.errors import UserError, in_words
+from experiments.support.errors import in_words
 
 CHECKPOINT = "checkpoint.npz"
 CURVE = 20  # parts of a learning curve
@@ -49,9 +49,6 @@ def train_cell(
     with ExitStack() as opened, in_words():
         if cell.source is not None:
             check(cell.source, cell.profile)
-        for name, digits in files_of(settings).items():
-            if digits != cell.profile[f"{name}_sha256"]:
-                raise UserError(f"the file of the setting {name} has changed: run the sweep again")
         trained = learner.train(
             partial(environments, cell, make_env, seed, opened),
             settings,
@@ -88,14 +85,13 @@ def environments(
 def learner_record(trained: Trained) -> dict[str, Any]:
     """What cell.json says of the training.
 
-    The learner's own record (`agents.learner.Trained`), in which a number that is not finite is null; episodes, curve
-    (see `learning_curve`) and weights_sha256.
+    The learner's own record (`agents.learner.Trained`), in which a number that is not finite is null; episodes (their
+    number) and curve (see `learning_curve`).
     """
     return {
         **{name: _finite(value) for name, value in trained.record.items()},
         "episodes": len(trained.episodes["step"]),
         "curve": learning_curve(trained.episodes),
-        "weights_sha256": trained.policy.sha256,
     }
 
 

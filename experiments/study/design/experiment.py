@@ -225,7 +225,7 @@ class Experiment:
         Raises ValueError for a name that there is not, or a value that makes no sense.
         """
         from agents.dqn import DQNConfig  # here: not every command needs the learner
-        from agents.learner import entries, files_of, settings_of
+        from agents.learner import entries, settings_of
         from agents.learners import learner
         from agents.models import network_class
 
@@ -249,7 +249,6 @@ class Experiment:
         settings = settings_of(chosen.Settings, said, f"the learner {self.learner}")
         if not self._own_network and hasattr(settings, "network"):
             network_class(settings.network)
-        files |= {f"{name}_sha256": digits for name, digits in files_of(settings).items()}
         return {**entries(settings), **rules.entries(), **files}
 
     @property

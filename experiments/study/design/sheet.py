@@ -42,7 +42,6 @@ class Sheet:
     clock: a training clock longer than the test's, observed as a share [s]; None to train with the test's time limit.
     first_clock: whether the time limit is terminal and observed in the first version of "tuned".
     crossing: way from the start to just inside a crossing that the task is about [m]; None without one.
-    joins: whether lanes of the road continue others, so that how far highway-env's drivers see matters.
     lane_changes: whether the traffic changes lanes, as a measure of the validation. egos_without: egos that the
         validation leaves out. rises: whether crashes of the careful ego are fitted to rise with the dose.
     drivers, risk: what the calibration searches. Of car following only the time gap at the intersection is: elsewhere
@@ -57,7 +56,6 @@ class Sheet:
     clock: int | None = None
     first_clock: bool = False
     crossing: float | None = None
-    joins: bool = True
     lane_changes: bool = True
     egos_without: frozenset[str] = frozenset()
     rises: bool = True
@@ -74,7 +72,6 @@ SHEETS: dict[str, Sheet] = {
     "highway": Sheet(
         return_range=20.0,  # at most 1 a step for 20 s
         episode_length=17,
-        joins=False,
         drivers={
             "speed_gain": Between(2.0, 150.0, log=True),
             "speed_gain_lookahead": Between(0.0, 40.0),
@@ -90,7 +87,6 @@ SHEETS: dict[str, Sheet] = {
         quick_updates=8000,
         standard_updates=20_000,  # 10,000 are too few (docs/learner.md)
         second_steps=160_000,
-        joins=False,
         lane_changes=False,
         egos_without=frozenset({"faster"}),
         rises=False,

@@ -1,27 +1,14 @@
-"""The verdict on SUMO in a folder of results: how close it is to highway-env, task by task.
-
-`experiments/validate.py --update` stores it; a sweep keeps it with its results, where the report reads it.
-"""
+"""How close SUMO is to highway-env, task by task, as `experiments/validate.py --update` has stored it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from agents.schema import check
-from experiments.study.design.fingerprint import dynamics
-from experiments.support.files import read_json, write_json
+from experiments.support.files import read_json
 
-SCHEMA = 2
-RECORD = {"schema": (SCHEMA,), "versions": dict, "fingerprints": dict, "tasks": dict}
-MISSED = {
-    **dict.fromkeys(("traffic", "level", "name", "ego", "note"), str),
-    "sumo": float,
-    "reference": float,
-}
-VERDICT = {"counts": dict.fromkeys(("equivalent", "within", "missed"), int), "missed": [MISSED]}
 STORED = Path(__file__).resolve().parents[2] / "validation" / "verdict.json"
 
 
@@ -30,32 +17,19 @@ def versions() -> dict[str, str]:
     return {name: version(name) for name in ("libsumo",)}
 
 
-def of_results(directory: Path) -> dict[str, Any] | None:
-    """The verdict in a folder of results; None if there is none that this version understands."""
-    try:
-        record: dict[str, Any] = read_json(directory / STORED.name)
-        check(record, RECORD)
-        for task, verdict in record["tasks"].items():
-            check(verdict, VERDICT, task)
-    except (OSError, ValueError):
-        return None
-    return record
+def verdicts(cells: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """The stored verdict on the tasks of cells, by task; empty where one of them has other dynamics or versions.
 
-
-def copy_verdict(backend: str, tasks: Sequence[str], out: Path) -> None:
-    """Copy the stored verdict on SUMO's tasks into `out`, unless a verdict on them is there.
-
-    It has to be of the same versions and dynamics; on other simulators there is none.
+    cells: cell.json of each, on SUMO.
     """
-    if backend != "sumo":
-        return
-    now = {task: dynamics(backend, task) for task in tasks}
-    own, stored = of_results(out), of_results(STORED.parent)
-    if stored and covers(stored, now) and not (own and covers(own, now)):
-        found = {task: stored["tasks"][task] for task in tasks}
-        write_json(out / STORED.name, {**stored, "fingerprints": now, "tasks": found})
-
-
-def covers(record: Mapping[str, Any], fingerprints: Mapping[str, str]) -> bool:
-    """Whether a verdict is of these versions and of these dynamics, by task."""
-    return record["versions"] == versions() and fingerprints.items() <= record["fingerprints"].items()
+    stored = read_json(STORED)
+    known, found = stored["fingerprints"], {}
+    for cell in cells:
+        task = cell["key"]["task"]
+        if (
+            cell["key"]["dynamics"] != known.get(task)
+            or not stored["versions"].items() <= cell["versions"].items()
+        ):
+            return {}
+        found[task] = stored["tasks"][task]
+    return found

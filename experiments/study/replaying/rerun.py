@@ -9,14 +9,13 @@ from typing import Any
 
 import gymnasium as gym
 
+from agents.rules.constant import Constant
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.policies import driver
 from experiments.study.design import grid
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
-
-IDLE = 1  # of the actions
 
 
 @dataclass(frozen=True)
@@ -40,21 +39,6 @@ class Case:
         return f"{self.cell}-{self.row['traffic']}-{self.row['scenario']}"
 
 
-class Repeated:
-    """Drives as a stored episode was driven, by its `actions`; where it lasts longer now, it ends with IDLE."""
-
-    def __init__(self, actions: str) -> None:
-        self._actions = actions
-
-    def reset(self, seed: int | None = None) -> None:
-        """Begin the episode."""
-        self._left = iter(self._actions)
-
-    def act(self, observation: Any) -> int:
-        """The next stored action."""
-        return int(next(self._left, IDLE))
-
-
 def play_again(
     case: Case, env: gym.Env[Any, Any], on_step: Callable[[], None] | None = None
 ) -> dict[str, Any]:
@@ -69,7 +53,7 @@ def play_again(
     weights = None
     drive = Drive(key["task"], key["level"], str(case.row["traffic"]), int(case.row["scenario"]))
     if isinstance(actions, str) and actions:
-        return play(env, Repeated(actions), drive, on_step)
+        return play(env, Constant(*map(int, actions)), drive, on_step)
     if key["kind"] == "test":
         raise UserError(
             f"{case.cell} is a further test of an agent, stored without its actions by an earlier version: "

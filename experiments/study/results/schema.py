@@ -29,12 +29,13 @@ from sumo_env.tasks import TASKS
 EPISODES, GATES = "episodes.parquet", "gates.parquet"
 ACTIONS = 5
 COUNT = range(1_000_000_000)
+CONFIG = {"policy_frequency?": range(1, 1000)}  # of it alone the time of an episode depends
 KEY = {
     **{"kind": ("agent", "baseline", "test"), "backend": tuple(SIMULATORS), "task": tuple(TASKS), "policy": str},
-    **{"arm": (None, *EVERY_ARM, *PAIRS), "profile": dict, "env_config": dict, "dynamics": str | None},
+    **{"arm": (None, *EVERY_ARM, *PAIRS), "profile": dict, "env_config": CONFIG, "dynamics": str | None},
     "eval": {"episodes": COUNT[1:], "gate_episodes": COUNT, "first_scenario?": COUNT},
 }
-TEST = {"backend": tuple(SIMULATORS), "traffics": [tuple(ALL)], "episodes": COUNT[1:], "env_config": dict}
+TEST = {"backend": tuple(SIMULATORS), "traffics": [tuple(ALL)], "episodes": COUNT[1:], "env_config": CONFIG}
 PAIR = {"agents": [str], "weight": str, "rule?": [int | float], "estimator_sha256?": str}
 NUMBERS, OR_NONE = [int | float], [int | float | None]  # None: of a part of a training in which no episode has ended
 RECORD = {

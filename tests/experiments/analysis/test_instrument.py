@@ -5,16 +5,12 @@ The short versions run with every test; the complete table (instrument.py, 2000 
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.analysis.analysis import negative_control, placebo
-from experiments.analysis.scores import Arms, Setting, with_outcomes
-from experiments.study.results.store import load
-from tests.experiments import synthetic
+from experiments.analysis.analysis import placebo
+from experiments.analysis.scores import Arms, Setting
 from tests.experiments.analysis import instrument
 from tests.experiments.analysis.instrument import PLANTED, ROWS, World, mistaken
 
@@ -94,10 +90,3 @@ def test_the_placebo_rejects_in_about_five_percent_whatever_the_effect() -> None
 def test_the_placebo_needs_four_control_agents() -> None:
     pair = instrument.setting(World(), 3, np.random.default_rng(4))
     assert placebo(drawn({("sumo", "highway", 1, "50"): pair})).empty
-
-
-def test_the_negative_control_is_exactly_zero_and_needs_the_rule(tmp_path: Path) -> None:
-    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6)
-    episodes = with_outcomes(load(tmp_path))
-    assert negative_control(episodes) == 0.0
-    assert negative_control(episodes[episodes["policy"] != "careful"]) is None

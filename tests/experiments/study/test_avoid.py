@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agents.rules.constant import Constant
 from experiments.backends import make_env
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.design.arms import scenario_seed
 from experiments.study.replaying.avoid import REST, rewound, way_out
-from experiments.study.replaying.rerun import Case, Repeated
+from experiments.study.replaying.rerun import Case
 from experiments.study.results.store import Store
 
 NAMES = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
@@ -111,7 +112,7 @@ def test_what_is_found_in_copies_comes_true_in_the_environment(backend: str) -> 
     faster = 3
     row = None
     for scenario in range(30):
-        row = play(env, Repeated(str(faster) * 10), Drive("u-turn", 1, "risky", scenario))
+        row = play(env, Constant(faster), Drive("u-turn", 1, "risky", scenario))
         if row["crashed"] and row["length"] > 1:
             break
     assert row["crashed"]

@@ -26,7 +26,6 @@ from agents.plugins import sha256
 from experiments.study.compute.policies import driver
 from experiments.study.compute.run import locked, log, watched
 from experiments.study.design.grid import learner_of
-from experiments.study.design.verdict import of_results
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results import packed, store
 from experiments.study.results.store import Store, load
@@ -196,7 +195,7 @@ def test_a_link_in_the_place_of_a_lock_is_not_followed(lock: str, tmp_path: Path
     assert precious.read_text() == "mine"
 
 
-@pytest.mark.parametrize("file", [f"work/cell/{LOG}", f"work/cell/{PROGRESS}", "verdict.json"])
+@pytest.mark.parametrize("file", [f"work/cell/{LOG}", f"work/cell/{PROGRESS}"])
 @pytest.mark.parametrize("kind", ["pipe", "device", "list", "nested", "number"])
 def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path) -> None:
     place = results / file
@@ -209,7 +208,6 @@ def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path)
         place.write_text({"list": "[1, 2]", "nested": "[" * 100_000, "number": '{"schema": 1e999}'}[kind])
     Store(results).failures()
     assert fraction_done(results / "work" / "cell") == 0.0
-    assert of_results(results) is None
 
 
 def test_a_name_does_not_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:

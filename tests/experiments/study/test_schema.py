@@ -22,6 +22,7 @@ SAID = {
     "key.arm='placebo'": r"key\.arm must be one of .*, not 'placebo'",
     "key.seed='0'": r"key\.seed must be a whole number from 0 to .*, not '0'",
     "no key.eval": r"key\.eval is missing",
+    "key.env_config.policy_frequency=0": r"policy_frequency must be a whole number from 1 to 999, not 0",
     "key=[]": r"key must be dict, not \[\]",
     "learner.probe_q=[]": r"learner\.probe_q is empty",
     "episodes.parquet return=nan": r"row 0: column 'return' has .*nan",

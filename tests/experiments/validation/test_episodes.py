@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from experiments.validation import episodes
@@ -73,6 +78,47 @@ def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
     assert present.equals(same)  # the same rates draw the same scenarios
     drivers = {"lane_changes": True, "assertive": 5.0, "speed_gain": 200.0}
     assert not present.equals(table(options={"calibration": drivers}))
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory: pytest.TempPathFactory) -> Part:
+    """One that is stored."""
+    folder = tmp_path_factory.mktemp("parts")
+    part = Part(Engine("sumo", "sumo", egos=("idle",)), "u-turn", 1, "regular", range(3), folder)
+    part.compute(lambda _: None)
+    return part
+
+
+DAMAGE: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
+    "a row less": (lambda t: t.iloc[:-1], "row 2 of 2 is not the episode"),
+    "twice": (lambda t: pd.concat([t, t]), "row 3 of 6 is not the episode"),
+    "another order": (lambda t: t.iloc[::-1], "row 0 of 3 is not the episode"),
+    "another ego": (lambda t: t.assign(ego="careful"), "row 0 of 3 is not the episode"),
+    "another level": (lambda t: t.assign(level=2), "row 0 of 3 is not the episode"),
+    "another traffic": (lambda t: t.assign(traffic="risky"), "row 0 of 3 is not the episode"),
+    "a return of nan": (lambda t: t.assign(**{"return": np.nan}), "row 0: column 'return' has nan"),
+    "a return of inf": (lambda t: t.assign(**{"return": np.inf}), "row 0: column 'return' has inf"),
+    "a density of nan": (lambda t: t.assign(density=np.nan), "row 0: column 'density' has nan"),
+    "a speed of -inf": (lambda t: t.assign(ego_speed=-np.inf), "row 0: column 'ego_speed' has -inf"),
+    "text": (lambda t: t.astype(str), "column 'level' must be of type int8"),
+    "no ego": (lambda t: t.drop(columns="ego"), "it has no column 'ego'"),
+    "headways below 0": (lambda t: t.assign(headway_03=-1), "column 'headway_03' has -1"),
+}
+
+
+@pytest.mark.parametrize("way", DAMAGE)
+def test_a_part_that_is_damaged_is_named_and_driven_again(
+    way: str, part: Part, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, said = DAMAGE[way]
+    moved = replace(part, directory=tmp_path)
+    (tmp_path / part.name).parent.mkdir(parents=True)
+    stored = pd.read_parquet(part.directory / part.name)
+    stored.to_parquet(tmp_path / part.name)
+    assert moved.done() and not capsys.readouterr().out
+    change(stored).to_parquet(tmp_path / part.name)
+    assert not moved.done()
+    assert re.search(rf"{re.escape(part.name)} is damaged \({said}.*driven again", capsys.readouterr().out)
 
 
 @pytest.mark.slow

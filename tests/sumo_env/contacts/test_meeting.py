@@ -17,6 +17,7 @@ from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.networks.mapping import Network, network
 from sumo_env.networks.meeting import Meeting, Spot
+from sumo_env.sumo import surroundings
 from sumo_env.tasks import TASKS
 from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
 from tests.sumo_env.rollout import drive
@@ -339,3 +340,36 @@ def test_the_ego_is_as_large_as_its_vehicle_type(tmp_path: Path) -> None:
         crash = info["crash"]
     assert (crash["other"], crash["type"]) == ("parked", "rear-end")
     assert crash["relative_x"] == pytest.approx(8.0 + 2.5, abs=0.01)
+
+
+def test_of_a_vehicle_of_several_parts_the_parts_behind_follow_the_road(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A long bus turns right while the ego drives past on its left; its outline in one piece would swing out."""
+    plan = (
+        "a 0 0,b 200 0,c 400 0,d 200 -200",
+        "ab a b 2 14,bc b c 1 14,bd b d 1 14",
+        "ab 0 bd 0,ab 1 bc 0",
+    )
+    net = build(tmp_path, plan)
+    bus = '<vType id="bus" vClass="bus" guiShape="bus/flexible" length="18"/>'
+    bus += (
+        '<vehicle id="bus" type="bus" depart="0" departLane="0" departPos="{}" departSpeed="{}">{}</vehicle>'
+    )
+
+    def driven(position: float, speed: float, way: str) -> dict[str, Any]:
+        ego = '<vehicle id="ego" depart="0" departLane="1" departSpeed="10"><route edges="ab bc"/></vehicle>'
+        file = route_file(tmp_path, bus.format(position, speed, way) + ego)
+        env = SumoDrivingEnv(net, file, ego_vehicle="ego", config={"duration": 50})
+        with closing(env):
+            results = list(drive(env, FASTER, 0))
+            return dict(results[-1][-1])
+
+    turns = 55, 7, '<route edges="ab bd"/>'
+    assert driven(*turns)["ending"] == "arrived"
+    monkeypatch.setattr(surroundings, "BENDING", ())
+    assert driven(*turns)["crash"]["detected_by"] == "geometry"
+    monkeypatch.undo()
+    stands = 150, 0, '<route edges="ab bd"/><stop lane="ab_1" endPos="150" duration="90"/>'
+    crash = driven(*stands)["crash"]
+    assert (crash["other"], crash["type"], crash["detected_by"]) == ("bus", "rear-end", "both")

@@ -21,6 +21,14 @@ from pettingzoo.test import parallel_api_test
 IDS = [*sumo_env.REPLICA_IDS, sumo_env.FAST_ID, *sumo_env.LATER_IDS]
 ACTIONS: list[Any] = [{"type": kind} for kind in ("ContinuousAction", "DiscreteAction", "DiscreteMetaAction")]
 SHORT = {"controlled_vehicles": 2, "duration": 5}
+TUPLES: dict[str, Any] = {
+    **SHORT,
+    "action": {
+        "type": "MultiAgentAction",
+        "action_config": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10]},
+    },
+    "observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics"}},
+}
 
 
 def made(id: str, **keywords: Any) -> Any:
@@ -158,11 +166,7 @@ def test_agents_of_a_seed_see_the_same_twice(crossing: Any) -> None:
 
 @pytest.mark.parametrize("action", ACTIONS, ids=str)
 def test_tuples_of_every_type_of_action(action: Any) -> None:
-    config = {
-        **SHORT,
-        "action": {"type": "MultiAgentAction", "action_config": action},
-        "observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics"}},
-    }
+    config = {**TUPLES, "action": {"type": "MultiAgentAction", "action_config": action}}
     for id in ("replica/highway-v0", "replica/intersection-v0"):
         env = made(id, config=config)
         env.action_space.seed(0)
@@ -171,3 +175,15 @@ def test_tuples_of_every_type_of_action(action: Any) -> None:
             assert env.observation_space.contains(observed)
             observed, reward, *_ = env.step(env.action_space.sample())
             assert np.isfinite(reward)
+
+
+@pytest.mark.parametrize("id", ["replica/highway-v0", "replica/intersection-v0"])
+def test_available_actions_of_tuples_are_tuples(id: str) -> None:
+    """``MultiAgentAction.get_available_actions``: the product of what each car could do now."""
+    env = made(id, config=TUPLES)
+    theirs = made(id.partition("/")[2], config=TUPLES)
+    for seed in range(3):
+        env.reset(seed=seed)
+        theirs.reset(seed=seed)
+        ours, other = (set(one.unwrapped.get_available_actions()) for one in (env, theirs))
+        assert ours == other and len(ours) > 1

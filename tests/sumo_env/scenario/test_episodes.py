@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import shlex
 import shutil
+import subprocess
 import tempfile
 import warnings
 from itertools import groupby, pairwise
@@ -20,7 +22,7 @@ from sumo_env.scene import ON_ITS_WAY, Scene
 from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.network import NetworkTask
-from tests.sumo_env.plans import QUIET, build, floating_car_data, needs_sumo
+from tests.sumo_env.plans import QUIET, SUMO, build, floating_car_data, needs_sumo
 from tests.sumo_env.scenario.files import written
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*(its outputs are off|several environments)")]
@@ -348,9 +350,26 @@ def test_files_may_be_anywhere(town: Path, tmp_path: Path) -> None:
     """Commas and ${...}, which SUMO takes for something else, in folders and in names."""
     odd = shutil.copytree(town.parent, tmp_path / "a, b ${HOME}")
     expected = seen(SumoDrivingEnv(town, ego_vehicle="ego"), 0)
-    assert_same(seen(SumoDrivingEnv(odd / town.name, ego_vehicle="ego"), 0), expected)
+    env = SumoDrivingEnv(odd / town.name, ego_vehicle="ego")
+    assert_same(seen(env, 0), expected)
+    subprocess.run([SUMO, *shlex.split(env.sumo_command)[1:], "--end=2"], check=True)
     route = shutil.copy(town.with_name("t.rou.xml"), odd / "c,d.rou.xml")
     assert_same(seen(SumoDrivingEnv(odd / "grid.net.xml", route, ego_vehicle="ego"), 0), expected)
+
+
+def test_a_worker_leaves_no_links_to_files_behind(
+    town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odd, temporary = shutil.copytree(town.parent, tmp_path / "a, b"), tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))  # of the worker: this process knows its own already
+    envs = [SumoDrivingEnv(odd / town.name, ego_vehicle="ego") for _ in range(2)]
+    for env in envs:
+        env.reset(seed=0)
+    assert list(temporary.iterdir())
+    for env in envs:
+        env.close()
+    assert not list(temporary.iterdir())
 
 
 def test_detectors_write_where_all_outputs_go(tmp_path: Path) -> None:

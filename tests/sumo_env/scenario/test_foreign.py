@@ -88,12 +88,37 @@ def test_outputs_of_a_configuration_do_not_connect(town: Path, tmp_path: Path) -
         SumoDrivingEnv(config, ego_vehicle="ego", output_dir=tmp_path)
 
 
-def test_a_configuration_neither_ends_sumo_nor_lets_it_read_schemas(town: Path) -> None:
+def changed(town: Path, options: str) -> Path:
+    """The configuration of a town with further options."""
     config = town / "odd.sumocfg"
+    config.write_text((town / "t.sumocfg").read_text().replace("<time>", f"<time>{options}"))
+    return config
+
+
+def test_outputs_of_a_configuration_go_to_the_folder_alone(town: Path, tmp_path: Path) -> None:
+    """SUMO writes a file of this output for each step where the option says, whatever the prefix of outputs is."""
+    config = changed(town, f'<vtk-output value="{tmp_path}/precious"/>')
+    with pytest.raises(ConfigError, match=r"vtk-output='.*precious' is not written to output_dir"):
+        SumoDrivingEnv(config, ego_vehicle="ego", output_dir=tmp_path / "out")
+
+
+@pytest.mark.parametrize("option", ["astar.landmark-distances", "device.ssm.filter-edges.input-file"])
+def test_a_device_is_not_read_for_any_option(option: str, town: Path) -> None:
+    config = changed(town, f'<{option} value="/dev/zero"/>')
+    with pytest.raises(ConfigError, match=rf"{option}='/dev/zero' is no regular file"):
+        SumoDrivingEnv(config, ego_vehicle="ego")
+
+
+def test_an_option_of_two_values_is_refused(town: Path) -> None:
+    config = changed(town, '<n value="grid.net.xml"/><begin value="3"/><b value="5"/>')
+    with pytest.raises(ConfigError, match=r"odd\.sumocfg: the option 'begin' is given twice: '3' and '5'"):
+        SumoDrivingEnv(config, ego_vehicle="ego")
+
+
+def test_a_configuration_neither_ends_sumo_nor_lets_it_read_schemas(town: Path) -> None:
     names = ("xml-validation", "X", "xml-validation.routes", "save-template", "C", "version", "c", "tripinfo")
-    more = "".join(f'<{name} value="auto"/>' for name in names)
-    config.write_text((town / "t.sumocfg").read_text().replace("<time>", f"<time>{more}"))
-    assert set(configuration(config)) == {
+    more = "".join(f'<{name} value="{"trips.xml" if name == "tripinfo" else "auto"}"/>' for name in names)
+    assert set(configuration(changed(town, more))) == {
         *("net-file", "route-files", "additional-files", "tripinfo-output", "log")
     }
 
@@ -154,17 +179,61 @@ def test_words_and_long_numbers_are_allowed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "element",
     [
-        'lane id="a" index="0" shape="0,0 9,0" width="0"',
-        'lane id="a" index="0" shape="0,0 9,0" length="-1"',
+        'edge id="b"><lane id="a" index="0" shape="0,0 9,0" width="0"/></edge',
+        'edge id="b"><lane id="a" index="0" shape="0,0 9,0" length="-1"/></edge',
         'vType id="a" length="0"',
         'vType id="a" maxSpeed="-3"',
         'vType id="a" scale="1e9"',
+        'vType id="a" speedDev="1e8"',
+        'vType id="a" speedFactor="normc(1,1e8)"',
         'route id="a" repeat="999999999"',
         'trip id="a" departPos="1e8"',
+        'trip id="a" departPosLat="1e8"',
+        'vType id="a" minGap="1e8"',
+        'vType id="a" speedFactor="normc(1,"',
+        'laneAreaDetector id="a" length="1e8"',
+        'step time="0" speed="1e8"',
     ],
 )
 def test_numbers_are_possible(element: str, tmp_path: Path) -> None:
-    assert re.search(r"must be from \S+ to \S+", refused(f"<net><{element}/></net>", tmp_path, ".net.xml"))
+    is_network = element.endswith("edge")
+    text = f"<a><{element}></a>" if is_network else f"<a><{element}/></a>"
+    said = refused(text, tmp_path, ".net.xml" if is_network else ".add.xml")
+    assert re.search(r"must be from \S+ to \S+", said)
+
+
+@pytest.mark.parametrize(
+    "lanes",
+    [
+        '<lane index="0" shape="0,0 9,0"/>',
+        '<edge><lane index="1" shape="0,0 9,0"/></edge>',
+        '<edge><lane index="0" shape="0,0 9,0"/><lane index="0" shape="0,0 9,0"/></edge>',
+        '<edge><lane index="0" shape="0,0"/></edge>',
+    ],
+)
+def test_lanes_that_would_end_the_process(lanes: str, tmp_path: Path) -> None:
+    said = refused(f"<net>{lanes}</net>", tmp_path, ".net.xml")
+    assert re.search(r"line 1: expected lane \d of an edge, with a shape of two points or more", said)
+
+
+@pytest.mark.parametrize("encoding", ["utf-7", "shift_jis", "ufo"])
+def test_an_encoding_that_is_not_known_is_named(encoding: str, town: Path, tmp_path: Path) -> None:
+    refused(f"<?xml version='1.0' encoding='{encoding}'?><routes/>", tmp_path)
+    config = town / "odd.sumocfg"
+    config.write_text(f"<?xml version='1.0' encoding='{encoding}'?><configuration/>")
+    with pytest.raises(ConfigError, match=r"odd\.sumocfg cannot be read"):
+        SumoDrivingEnv(config, ego_vehicle="ego")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [(' fromLane="0"', ' fromLane="-1"'), ("<location ", '<edge id="q" from="A0" to="A1"/><location ')],
+)
+def test_a_network_that_does_not_fit_itself_is_named(old: str, new: str, town: Path) -> None:
+    network = town / "odd.net.xml"
+    network.write_text((town / "grid.net.xml").read_text().replace(old, new))
+    with pytest.raises(ConfigError, match=r"odd\.net\.xml"):
+        SumoDrivingEnv(network, town / "t.rou.xml", ego_vehicle="ego")
 
 
 @pytest.mark.parametrize(
@@ -222,11 +291,11 @@ def test_what_is_read_has_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(
-    "option", ["step-length=0", "step-length=nan", "scale=1e9", "begin=inf", "threads=100000"]
+    "option",
+    ["step-length=0", "step-length=nan", "scale=1e9", "begin=inf", "threads=100000", "default.speeddev=1e8"],
 )
 def test_options_are_possible(option: str, town: Path) -> None:
     name, _, value = option.partition("=")
-    config = town / "odd.sumocfg"
-    config.write_text((town / "t.sumocfg").read_text().replace("<time>", f'<time><{name} value="{value}"/>'))
+    config = changed(town, f'<{name} value="{value}"/>')
     with pytest.raises(ConfigError, match=rf"odd\.sumocfg: {name}='{value}' must be a number from"):
         SumoDrivingEnv(config, ego_vehicle="ego")

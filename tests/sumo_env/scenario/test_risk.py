@@ -112,3 +112,27 @@ def test_at_risk_0_everybody_is_where_they_are_without_this_package(road: tuple[
         max(abs(one[name][0] - other[name][0]) for one, other in zip(*ways, strict=True) for name in one)
         < 1.0
     )
+
+
+def test_nobody_cuts_in_where_a_lorry_is(tmp_path: Path) -> None:
+    """Lorries of 16 m crawl nose to tail, and cars pass them in the lane beside."""
+    lorry = '<vType id="lorry" vClass="truck" length="16" maxSpeed="0.2"/>'
+    lorries = "".join(
+        f'<vehicle id="l{k}" type="lorry" depart="0" departLane="0" departPos="{20 + 19 * k}" departSpeed="0">'
+        '<route edges="ab bc"/></vehicle>'
+        for k in range(15)
+    )
+    cars = '<vType id="car" lcStrategic="-1" lcSpeedGain="0" lcKeepRight="0"/>' + "".join(
+        f'<vehicle id="c{k}" type="car" depart="{3 * k}" departLane="1" departSpeed="10" arrivalLane="1">'
+        '<route edges="ab bc"/></vehicle>'
+        for k in range(1, 20)
+    )
+    file = route_file(tmp_path, lorry + lorries + cars)
+    net = build(tmp_path, ("a 0 0, b 340 0, c 700 0", "ab a b 2 14, bc b c 2 14"))
+    env = SumoDrivingEnv(net, file, ego_vehicle="l14", config={"risk": 1.0, "duration": 60})
+    env.reset(seed=0)
+    reported = 0
+    for _ in range(60):
+        env.step(1)
+        reported += env.sumo.simulation.getCollidingVehiclesNumber()
+    assert not reported

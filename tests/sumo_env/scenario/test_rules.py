@@ -91,6 +91,7 @@ def test_a_turn_is_missed_where_the_ego_can_no_longer_turn(tmp_path: Path) -> No
     assert over and env.scene.place.ended == "missed turn" and free < 3.0
     info = env._info(None)
     assert info["missed_turn"] and not info["arrived"] and not info["crashed"]
+    assert info["speed"] == pytest.approx(20.0, abs=0.1)  # it would drive on; that is no hard braking
     env = start(net, "bd", policy_frequency=10)
     while number(env) == 2:
         env.step(RIGHT)

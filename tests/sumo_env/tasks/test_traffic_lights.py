@@ -12,7 +12,7 @@ import pytest
 
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.scene import GREEN, NO_LIGHT, RED, UNLIT, YELLOW, Light
-from sumo_env.sumo.ego import speed_before
+from sumo_env.sumo.route_ego import speed_before
 from tests.sumo_env.rollout import drive
 
 sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")

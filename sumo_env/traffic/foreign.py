@@ -227,7 +227,7 @@ def _read(path: Path, is_network: bool, changed: int, size: int) -> Found:
             refuse(f"more than {DEEPEST} elements in each other")
         if is_network and tag in NOT_IN_NETWORKS:
             refuse(f"<{tag}> in a network may end the process: move it to an additional file")
-        if depth == 1 and tag in OTHER_FILES and not is_network:
+        if tag in OTHER_FILES and not is_network:  # anywhere: a network within routes may end the process
             refuse(f"this is {OTHER_FILES[tag]}, and no file of routes or additional elements")
         for name, text in has.items():
             if is_number(name) and SUSPECT.search(text):

@@ -254,6 +254,11 @@ def test_flows_are_bounded(tag: str, rate: str, tmp_path: Path) -> None:
     assert re.search(rf"<{tag}> 'f' asks for .* departures a second; at most 100 are possible", said)
 
 
+@pytest.mark.parametrize("text", ["<net/>", "<additional><net><edge id='e'/></net></additional>"])
+def test_a_network_is_no_additional_file(text: str, tmp_path: Path) -> None:
+    assert "line 1: this is a network, and no file of routes" in refused(text, tmp_path, ".add.xml")
+
+
 def test_nesting_is_bounded(tmp_path: Path) -> None:
     assert "more than 50 elements in each other" in refused(f"{'<a>' * 99}{'</a>' * 99}", tmp_path)
 

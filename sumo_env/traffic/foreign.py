@@ -206,90 +206,116 @@ def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> Found:
 
 @lru_cache(256)
 def _read(path: Path, is_network: bool, changed: int, size: int) -> Found:
-    """Check the elements of one file."""
-    parser, departing = expat.ParserCreate(), Counter[str]()
-    included, found = list[Path](), Found((), set(), {}, [])
-    depth, left, lanes = 0, UNPACKED, 0  # lanes: of the present edge
+    return _Reader(path, is_network).read()
 
-    def refuse(what: str) -> NoReturn:
-        raise ConfigError(f"{path}, line {parser.CurrentLineNumber}: {what}")
 
-    def element(tag: str, has: Mapping[str, str]) -> None:
-        nonlocal depth, lanes
-        depth += 1
-        if tag == "lane" and is_network:
-            if (depth, has.get("index")) != (3, str(lanes)) or len(has.get("shape", "").split()) < 2:
-                refuse(f"expected lane {lanes} of an edge, with a shape of two points or more")
-            lanes += 1
+class _Reader:
+    """Goes through the elements of one file, and refuses what must not be there."""
+
+    def __init__(self, path: Path, is_network: bool) -> None:
+        self._path, self._is_network = path, is_network
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler, self._parser.EndElementHandler = self._element, self._end
+        self._parser.StartDoctypeDeclHandler = self._document_type
+        self._included, self._found = list[Path](), Found((), set(), {}, [])
+        self._departures = Counter[str]()  # vehicles by the attribute "depart"
+        self._depth, self._lanes = 0, 0  # lanes: of the present edge
+
+    def read(self) -> Found:
+        """What the file holds."""
+        path, left = self._path, UNPACKED
+        try:
+            with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as opened:
+                while part := opened.read(2**20):  # large parts: the parser begins again at each one
+                    if (left := left - len(part)) < 0:
+                        self._refuse("more than 4 GiB when it is unpacked")
+                    self._parser.Parse(part)
+                self._parser.Parse(b"", True)
+        except ConfigError:
+            raise
+        except (OSError, EOFError, LookupError, ValueError, zlib.error, expat.ExpatError) as error:
+            raise ConfigError(f"{path} cannot be read: {error}") from None
+        return self._found._replace(includes=tuple(self._included))
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise ConfigError(f"{self._path}, line {self._parser.CurrentLineNumber}: {what}")
+
+    def _document_type(self, *_: object) -> None:
+        self._refuse("a document type (<!DOCTYPE ...>) may hold entities that never end: remove it")
+
+    def _end(self, _: str) -> None:
+        self._depth -= 1
+
+    def _element(self, tag: str, has: Mapping[str, str]) -> None:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            self._refuse(f"more than {DEEPEST} elements in each other")
+        if self._is_network:
+            self._network(tag, has)
+        elif tag in OTHER_FILES:  # anywhere: a network within routes may end the process
+            self._refuse(f"this is {OTHER_FILES[tag]}, and no file of routes or additional elements")
+        self._attributes(tag, has)
+        if not self._is_network:
+            self._note(tag, has)
+        self._departure(tag, has)
+        self._other_file(tag, has)
+
+    def _network(self, tag: str, has: Mapping[str, str]) -> None:
+        if tag in NOT_IN_NETWORKS:
+            self._refuse(f"<{tag}> in a network may end the process: move it to an additional file")
+        if tag == "lane":
+            place = self._depth, has.get("index")
+            if place != (3, str(self._lanes)) or len(has.get("shape", "").split()) < 2:
+                self._refuse(f"expected lane {self._lanes} of an edge, with a shape of two points or more")
+            self._lanes += 1
         elif tag == "edge":
-            lanes = 0
-        if depth > DEEPEST:
-            refuse(f"more than {DEEPEST} elements in each other")
-        if is_network and tag in NOT_IN_NETWORKS:
-            refuse(f"<{tag}> in a network may end the process: move it to an additional file")
-        if tag in OTHER_FILES and not is_network:  # anywhere: a network within routes may end the process
-            refuse(f"this is {OTHER_FILES[tag]}, and no file of routes or additional elements")
+            self._lanes = 0
+
+    def _attributes(self, tag: str, has: Mapping[str, str]) -> None:
         for name, text in has.items():
             if is_number(name) and SUSPECT.search(text):
-                for word in WORDS.findall(text):
-                    if _is_none(word):
-                        refuse(f'<{tag} {name}="{text:.60}"> is no number that SUMO can drive with')
+                if any(map(_is_none, WORDS.findall(text))):
+                    self._refuse(f'<{tag} {name}="{text:.60}"> is no number that SUMO can drive with')
             elif name in ("file", "output", "dest") and _is_connection(text):
-                refuse(f'<{tag} {name}="{text:.60}"> opens a connection to another program: name a file')
+                self._refuse(
+                    f'<{tag} {name}="{text:.60}"> opens a connection to another program: name a file'
+                )
             if span := RANGES.get(tag, {}).get(name):
                 low, high = span
                 numbers = [_number(word, low) for word in WORDS.findall(text)]
                 is_cut = text.count("(") != text.count(")")
                 if is_cut or (numbers and not (low <= numbers[0] and max(numbers) <= high)):
-                    refuse(f'<{tag} {name}="{text:.60}"> must be from {low:g} to {high:g}')
+                    self._refuse(f'<{tag} {name}="{text:.60}"> must be from {low:g} to {high:g}')
         if has.get("vClass", "passenger") not in _classes():
-            refuse(f'there is no vClass="{has["vClass"]:.60}"; SUMO would take another without a word')
-        if not is_network:
-            note(tag, has, has.get("id", ""))
-        if tag == "vehicle" or tag == "trip":
-            departing[has.get("depart", "")] += 1
-            if departing[has.get("depart", "")] > CROWD:
-                refuse(f'more than {CROWD:,} vehicles have depart="{has.get("depart", "")}"')
-        if tag == "include" or (tag in READERS and "file" in has):
-            if not (name := has.get("href", "") or has.get("file", "")):
-                refuse(f"<{tag}> names no file: SUMO would end the process")
-            included.append(path.parent / name)
-        elif re.search("file|output", has.get("key", "")) and _is_connection(has.get("value", "")):
-            refuse(f'"{has["key"]}" opens a connection to {has["value"]}: name a file')
-        elif tag in FLOWS and (rate := _rate(has)) > MOST:
-            flow = f"<{tag}> {has.get('id', '')!r}"
-            refuse(f"{flow} asks for {rate:.3g} departures a second; at most {MOST:g} are possible")
+            self._refuse(f'there is no vClass="{has["vClass"]:.60}"; SUMO would take another without a word')
 
-    def note(tag: str, has: Mapping[str, str], name: str) -> None:
-        found.ids.add(name)
+    def _note(self, tag: str, has: Mapping[str, str]) -> None:
+        name = has.get("id", "")
+        self._found.ids.add(name)
         if tag == "vType" and "carFollowModel" in has:
-            found.models[name] = has["carFollowModel"]
+            self._found.models[name] = has["carFollowModel"]
         if tag in DEPARTING:
             text = has.get("depart", has.get("begin", ""))
             time = seconds("depart", text) if re.fullmatch(r"[\d.:]+", text) else None
-            found.departing.append((name, tag in ("vehicle", "trip", "flow"), time))
+            self._found.departing.append((name, tag in ("vehicle", "trip", "flow"), time))
 
-    def end(_: str) -> None:
-        nonlocal depth
-        depth -= 1
+    def _departure(self, tag: str, has: Mapping[str, str]) -> None:
+        if tag in ("vehicle", "trip"):
+            depart = has.get("depart", "")
+            self._departures[depart] += 1
+            if self._departures[depart] > CROWD:
+                self._refuse(f'more than {CROWD:,} vehicles have depart="{depart}"')
+        elif tag in FLOWS and (rate := _rate(has)) > MOST:
+            flow = f"<{tag}> {has.get('id', '')!r}"
+            self._refuse(f"{flow} asks for {rate:.3g} departures a second; at most {MOST:g} are possible")
 
-    def document_type(*_: object) -> None:
-        refuse("a document type (<!DOCTYPE ...>) may hold entities that never end: remove it")
-
-    parser.StartElementHandler, parser.EndElementHandler = element, end
-    parser.StartDoctypeDeclHandler = document_type
-    try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as opened:
-            while part := opened.read(2**20):  # large parts: the parser begins again at each one
-                if (left := left - len(part)) < 0:
-                    refuse("more than 4 GiB when it is unpacked")
-                parser.Parse(part)
-            parser.Parse(b"", True)
-    except ConfigError:
-        raise
-    except (OSError, EOFError, LookupError, ValueError, zlib.error, expat.ExpatError) as error:
-        raise ConfigError(f"{path} cannot be read: {error}") from None
-    return found._replace(includes=tuple(included))
+    def _other_file(self, tag: str, has: Mapping[str, str]) -> None:
+        if tag == "include" or (tag in READERS and "file" in has):
+            if not (name := has.get("href", "") or has.get("file", "")):
+                self._refuse(f"<{tag}> names no file: SUMO would end the process")
+            self._included.append(self._path.parent / name)
+        elif re.search("file|output", has.get("key", "")) and _is_connection(has.get("value", "")):
+            self._refuse(f'"{has["key"]}" opens a connection to {has["value"]}: name a file')
 
 
 @lru_cache(1)

@@ -62,6 +62,8 @@ class OnScreen(ReadAsHighwayEnv):
             gym.logger.warn("the window was closed: this episode ends, and the next ones have no window")
             self._shut()
             self._is_closed, self.render_mode = True, None
+            if self.config.get("manual_control"):  # there are no keys any more
+                self.config = {**self.config, "manual_control": False}
         return None
 
     def _open(self, render_mode: str | None) -> None:

@@ -61,14 +61,14 @@ def test_a_window_shows_every_simulation_step_and_changes_nothing(id: str) -> No
 
 
 def test_closing_the_window_ends_the_episode_and_the_next_one_has_none() -> None:
-    env = DrivingEnv("highway", {"vehicles_count": 3}, render_mode="human")
+    env = DrivingEnv("highway", {"vehicles_count": 3, "manual_control": True}, render_mode="human")
     env.reset(seed=0)
     assert not env.step(1)[3]
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     with pytest.warns(UserWarning, match="the window was closed"):
         *_, terminated, truncated, _ = env.step(1)
     assert truncated and not terminated and env.render_mode is None and not pygame.display.get_init()
-    env.reset(seed=1)
+    env.reset(seed=1, options={"config": {"vehicles_count": 4}})
     assert not env.step(1)[3] and not pygame.display.get_init()
     env.close()
 

@@ -199,7 +199,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 if value != expected:
                     raise ConfigError(f"config key {key!r} can only be {expected!r}, not {value!r}: {reason}")
             elif key in ignored:
-                ignore(task, str(key), _meant(str(key), known))
+                ignore(f"the task {task!r}", str(key), _meant(str(key), known))
             elif key not in WITHOUT_EFFECT:
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {_meant(str(key), known)}")
             config[key] = value
@@ -230,9 +230,9 @@ def pace(simulation_frequency: int, policy_frequency: int) -> float:
 
 
 @cache
-def ignore(task: str, key: str, hint: str) -> None:
+def ignore(where: str, key: str, hint: str) -> None:
     """Warn, once, that a key has no effect; a list of all keys is no hint."""
-    told = f"config key {key!r} has no effect on the task {task!r}, as in highway-env"
+    told = f"config key {key!r} has no effect on {where}, as in highway-env"
     gym.logger.warn(told if hint.startswith("known:") else f"{told}; {hint}")
 
 
@@ -300,7 +300,7 @@ def _check_type(task: str, group: str, given: Config, types: Mapping[str, Config
         if key not in defaults:
             meant, theirs = _meant(str(key), defaults), highway_env()
             if task in theirs["ignored"] and given["type"] in theirs["types"][group] and "known:" in meant:
-                ignore(task, str(key), meant)
+                ignore(f"the {group} type {given['type']!r}", str(key), meant)
                 continue
             raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {meant}")
         if key in ("longitudinal", "lateral") and value == "sumo":  # SUMO drives (`actions`)

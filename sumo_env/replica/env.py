@@ -155,7 +155,7 @@ class ReplicaEnv(DrivingEnv):
         ours = OURS.get(self.task.name, ())
         for key in ours:
             if known.get(key, defaults[key]) != defaults[key]:
-                ignore(self.task.name, key, INSTEAD)
+                ignore(f"the task {self.task.name!r}", key, INSTEAD)
                 if hasattr(self, "config"):
                     self.config[key] = defaults[key]
         return {key: value for key, value in config.items() if key not in ours}

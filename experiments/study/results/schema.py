@@ -150,7 +150,7 @@ def check_columns(table: pd.DataFrame, columns: Mapping[str, Column], needed: It
         if values.dtype == object and kind == "str":
             _all(values.map(lambda value: isinstance(value, str)) | absent, f"column {name!r} has {{}}", values)
         good = ~absent
-        if kind in ("int", "float"):
+        if kind in ("int", "uint", "float"):
             good &= values.between(column.low, column.high)
         elif column.among:
             good &= values.isin(column.among)

@@ -19,7 +19,7 @@ from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
 from experiments.backends import make_env
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, ignore
 from sumo_env.env import DrivingEnv
 from sumo_env.replica.env import ReplicaEnv
 
@@ -301,6 +301,12 @@ def test_what_is_refused_is_named(config: dict[str, Any], message: str) -> None:
         gym.make("replica/highway-v0", config=config)
     with pytest.raises(ConfigError, match="no version 3 of 'u-turn'"):
         ReplicaEnv("u-turn", version=3)
+
+
+def test_grids_of_speeds_are_not_in_highway_env_either() -> None:
+    ignore.cache_clear()
+    with pytest.warns(UserWarning, match="'speed_range' has no effect on the action type 'DiscreteAction'"):
+        gym.make("replica/highway-v0", config={"action": {"type": "DiscreteAction", "speed_range": [0, 1]}})
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ DAMAGE: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "a speed of -inf": (lambda t: t.assign(ego_speed=-np.inf), "row 0: column 'ego_speed' has -inf"),
     "text": (lambda t: t.astype(str), "column 'level' must be of type int8"),
     "no ego": (lambda t: t.drop(columns="ego"), "it has no column 'ego'"),
-    "headways below 0": (lambda t: t.assign(headway_03=-1), "column 'headway_03' has -1"),
+    "headways below 0": (lambda t: t.assign(headway_03=-1), "row 0: column 'headway_03' has -1"),
 }
 
 

@@ -292,7 +292,7 @@ def test_on_sumo_steering_is_an_error_that_names_it(action: dict[str, Any]) -> N
             {"action": {"type": "DiscreteAction", "actions_per_axis": 2.5}},
             "'actions_per_axis' must be a whole",
         ),
-        ({"action": {"type": "DiscreteAction", "speed_range": [0, 1]}}, "unknown key 'speed_range'"),
+        ({"action": {"type": "DiscreteAction", "steering_rang": [0, 1]}}, "mean 'steering_range'"),
         ({"action": STEERING, "observation": {"type": "TimeToCollision"}}, "needs target speeds"),
     ],
 )

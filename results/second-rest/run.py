@@ -9,7 +9,7 @@ stop, after such a save. It needs Linux, and Python alone: the cells are compute
 
     python results/second-rest/run.py --code WORKTREE --pack results/second
 
-adds all saved cells to the tables of a folder.
+adds the complete settings to the tables of a folder.
 """
 
 from __future__ import annotations
@@ -320,13 +320,15 @@ def main() -> None:
     parser.add_argument(
         "--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: all"
     )
-    parser.add_argument("--pack", type=Path, metavar="DIR", help="add all saved cells to this folder instead")
+    parser.add_argument("--pack", type=Path, metavar="DIR", help="add the complete settings to this folder instead")
     parser.add_argument("--compute", choices=SETTINGS, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.pack:
         if not (options.code / ".venv/bin/python").samefile(sys.executable):
             parser.error(f"--pack needs {options.code}/.venv/bin/python")
-        pack(options.code.resolve(), SETTINGS, options.pack)
+        complete = [setting for setting in options.settings if len(saved(setting)) == CELLS]
+        print("left out, not complete:", *sorted(set(options.settings) - set(complete)), flush=True)
+        pack(options.code.resolve(), complete, options.pack)
         return
     if not options.work:
         parser.error("--work is needed")

@@ -8,7 +8,7 @@ and the weights of its own.
 
     python results/pairs/run.py --code WORKTREE --pack results/pairs
 
-adds all saved cells to the tables of a folder.
+adds the complete settings to the tables of a folder.
 """
 
 from __future__ import annotations
@@ -39,7 +39,10 @@ TASKS = {
 }
 MORE = "-more"  # exploratory arms of a setting, after the plan's questions in all settings
 SETTINGS = {**TASKS, **{f"{name}{MORE}": task for name, task in TASKS.items()}}
-CELLS = 121, 10  # of a setting: 30 agents, 85 tests of pairs, 6 drivers of fixed rules; and of its exploratory arms
+CELLS = (
+    121,
+    10,
+)  # of a setting: 30 agents, 85 tests of pairs, 6 drivers of fixed rules; and of its exploratory arms
 TABLES, WEIGHTS = ("episodes.parquet", "gates.parquet"), "weights.npz"
 
 _found = importlib.util.spec_from_file_location("saving", HERE.parent / "second-rest" / "run.py")
@@ -165,7 +168,9 @@ def main() -> None:
     parser.add_argument(
         "--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: all"
     )
-    parser.add_argument("--pack", type=Path, metavar="DIR", help="add all saved cells to this folder instead")
+    parser.add_argument(
+        "--pack", type=Path, metavar="DIR", help="add the complete settings to this folder instead"
+    )
     parser.add_argument("--compute", choices=SETTINGS, help=argparse.SUPPRESS)
     options = parser.parse_args()
     saving.HERE, saving.COMMIT, saving.COSTS, saving.save = HERE, COMMIT, HERE / "costs.csv", save
@@ -173,7 +178,9 @@ def main() -> None:
     if not (code / ".venv/bin/python").samefile(sys.executable):
         parser.error(f"it needs {code}/.venv/bin/python")
     if options.pack:
-        pack(code, SETTINGS, options.pack)
+        complete = [name for name in options.settings if len(saving.saved(name)) == number(name)]
+        print("left out, not complete:", *sorted(set(options.settings) - set(complete)), flush=True)
+        pack(code, complete, options.pack)
         return
     if not options.work:
         parser.error("--work is needed")
@@ -192,7 +199,10 @@ def main() -> None:
             continue
         saving.check(code)
         saving.restore(setting, out)
-        print(f"{setting}: {len(saving.finished(setting, out))} of {number(setting)} cells are there", flush=True)
+        print(
+            f"{setting}: {len(saving.finished(setting, out))} of {number(setting)} cells are there",
+            flush=True,
+        )
         if saving.follow(setting, code, out, wanted):
             return
 

@@ -320,7 +320,9 @@ def main() -> None:
     parser.add_argument(
         "--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: all"
     )
-    parser.add_argument("--pack", type=Path, metavar="DIR", help="add the complete settings to this folder instead")
+    parser.add_argument(
+        "--pack", type=Path, metavar="DIR", help="add the complete settings to this folder instead"
+    )
     parser.add_argument("--compute", choices=SETTINGS, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.pack:

@@ -30,12 +30,12 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 COMMIT = "4bdf3c62"  # the plan, with the rule in the code
-TASKS = {
-    "u-turn-3": "u-turn",
-    "roundabout-5": "roundabout",
+TASKS = {  # in the order of the plan's amendment
     "intersection-10": "intersection",
-    "two-way-5+2": "two-way",
+    "roundabout-5": "roundabout",
+    "u-turn-3": "u-turn",
     "highway-50": "highway",
+    "two-way-5+2": "two-way",
 }
 MORE = "-more"  # exploratory arms of a setting, after the plan's questions in all settings
 SETTINGS = {**TASKS, **{f"{name}{MORE}": task for name, task in TASKS.items()}}
@@ -69,7 +69,7 @@ def compute(code: Path, setting: str, out: Path) -> int:
     from experiments.study.results.store import Store
 
     pack(code, (setting,), out)
-    asked: dict[str, Any] = {"preset": "pairs", "tasks": (SETTINGS[setting],)}
+    asked: dict[str, Any] = {"preset": "pairs", "tasks": (SETTINGS[setting],), "settings": ("by_hand=true",)}
     if setting.endswith(MORE):
         asked |= {"arms": ("mixed-belief", "mixed-seen"), "seeds": 5}
     cells = cells_of(Experiment(**asked))

@@ -167,10 +167,12 @@ def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
     }
 
 
-def together(name: str, analysis: Analysis) -> list[dict[str, Any]]:
-    """The bounds of two agents weighed by a belief, over all tasks; none under another plan."""
+def together(name: str, analysis: Analysis) -> dict[str, Any] | None:
+    """What the fourth plan asks of two agents weighed by a belief; None under another plan."""
     rows = analysis.price
-    return chosen(rows, backend=name, arm="belief", scope=ALL_TASKS).to_dict("records") if len(rows) else []
+    bounds = chosen(rows, backend=name, arm="belief", scope=ALL_TASKS).to_dict("records") if len(rows) else []
+    pairs = [row for row in bounds if row["against"].startswith("two-")]
+    return {"bounds": pairs, "verdict": all_hold([row["verdict"] for row in pairs])} if pairs else None
 
 
 def paces(policies: pd.DataFrame) -> dict[str, Any]:

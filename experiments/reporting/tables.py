@@ -17,7 +17,7 @@ from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES
 from experiments.analysis.scores import TASK_ORDER
-from experiments.study.design.arms import ARMS
+from experiments.study.design.arms import ARMS, PAIRS
 from experiments.study.design.traffic import TRAFFICS, UNSEEN
 
 MINUS = "\N{MINUS SIGN}"
@@ -25,6 +25,13 @@ NONE = "\N{EN DASH}"  # where there is no number
 BACKENDS = {"sumo": "SUMO", "replica": "highway-env's physics (replica)", "highway-env": "highway-env"}
 TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}
 ARM_NAMES = {"treatment": "treated"}  # as the pages call the agents of an arm
+DRIVERS = {  # of the fourth plan: one agent, or two together
+    **{"control": "one control agent", "treatment": "one treated agent", "mixed": "one mixed agent"},
+    **{"two-control": "two control agents", "two-treatment": "two treated agents"},
+    **{"two-mixed": "two mixed agents", "half": "control and treated, at equal weights"},
+    **{"belief": "control and treated, weighed by the belief", "told": "the same, weighed by the true dose"},
+    "shuffled": "the same, weighed by another episode's belief",
+}
 UNITS = {"mean_speed": " m/s", "crash_free_time": " s"}
 
 
@@ -162,6 +169,52 @@ def price(analysis: Analysis, backend: str) -> pd.DataFrame:
     return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "mean of the tasks")), ["task"], cells)
 
 
+def drivers(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """Crash rates and speeds of one agent and of two together, every task weighted alike; empty without pairs."""
+    rows = chosen(analysis.policies, backend=backend, arm=list(DRIVERS), traffic=list(TRAFFICS))
+    if not {*rows["arm"]} & {*PAIRS}:
+        return pd.DataFrame()
+    names = ("crashed", "mean_speed")
+    by_task = rows.groupby(["arm", "traffic", "task"])[[*names]].mean().groupby(["arm", "traffic"]).mean()
+    found = by_task.reindex(list(DRIVERS), level="arm").reset_index()
+    lines = [
+        {"who drives": DRIVERS[arm]}
+        | {
+            f"{title} in {traffic} traffic": number(own.set_index("traffic")[name].get(traffic), name)
+            for name, title in zip(names, ("crashes", "m/s"), strict=True)
+            for traffic in ("risky", "regular")
+        }
+        for arm, own in found.groupby("arm", sort=False)
+    ]
+    return pd.DataFrame(lines)
+
+
+def belief(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """Crash rate of two agents weighed by a belief, minus that of others: by task, and what the plan asks."""
+    rows = chosen(main(analysis.means, backend, "belief", "half"), outcome="crashed", term=list(TRAFFICS))
+    if rows.empty:
+        return rows
+    rows = pd.concat([chosen(analysis.price, backend=backend, arm="belief"), rows], ignore_index=True)
+    rows = rows[rows["scope"].isin([*TASK_ORDER, ALL_TASKS])]
+    rows = rows.assign(others=rows["against"].str.replace("one-", "").map(DRIVERS))
+
+    def cells(row: Mapping[str, Any]) -> dict[str, str]:
+        if row["scope"] != ALL_TASKS:
+            return {row["scope"]: points(row["estimate"], "crashed")}
+        asked = isinstance(row["verdict"], str)
+        return {
+            "mean of the tasks": points(row["estimate"], "crashed") if asked else effect(row),
+            "at most": points(row["high"], "crashed") if asked else "",
+            "allowed": f"below {points(row['margin'], 'crashed')}" if asked else "",
+            "answer": row["verdict"] if asked else "",
+        }
+
+    lines = wide(rows, ["others", "term"], cells)
+    titles = lines.pop("others") + ", " + lines.pop("term") + " traffic"
+    lines.insert(0, "minus", titles)
+    return lines
+
+
 def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
     """Effects of every setting with their 95 % intervals, and the p-values of what the plan tests."""
 
@@ -274,6 +327,8 @@ TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulat
     "tasks": first_page,
     "careful": careful,
     "price": price,
+    "drivers": drivers,
+    "belief": belief,
     "crashes": partial(by_setting, outcome="crashed"),
     "returns": partial(by_setting, outcome="return"),
     "further": further,

@@ -21,6 +21,7 @@ from experiments.analysis.pairs import COMPARED, units
 from experiments.analysis.plan import FOURTH as PLAN
 from experiments.analysis.plan import Bound, as_data, plan_of
 from experiments.analysis.scores import arms_of
+from experiments.reporting import tables
 from experiments.study.design.arms import PAIRS
 from experiments.study.results.store import load
 from experiments.support.files import canonical_json, sha256_bytes
@@ -154,3 +155,21 @@ def test_a_report_answers_the_questions(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
     text = report.write_report(tmp_path).read_text()
     assert "weighed by a belief about the traffic" in text and "mix of both traffics" not in text
+    assert "it is an estimate and not a test" in text  # of five settings one is there
+
+
+def test_a_report_has_a_row_for_everybody_who_drives(tmp_path: Path) -> None:
+    asked: dict[str, Any] = {"seeds": 4, "pairs": True, "preset": "pairs"}
+    synthetic.write(tmp_path, {"u-turn": (1,), "roundabout": (1,)}, tests=12, further=("mixed",), **asked)
+    found = analyse(load(tmp_path))
+    rates = tables.drivers(found, "sumo").set_index("who drives")
+    assert len(rates) == len(PAIRS) + 3
+    rows = found.policies.query("arm == 'two-treatment' and traffic == 'risky'")
+    risky = rates.loc["two treated agents", "crashes in risky traffic"]
+    assert len(rows) == 2 and risky == tables.number(rows["crashed"].mean(), "crashed")
+    against = tables.belief(found, "sumo").set_index("minus")
+    bound = found.price.query("against == 'two-control' and scope == 'all tasks'").iloc[0]
+    shown = against.loc["two control agents, regular traffic"]
+    assert shown["mean of the tasks"] == tables.points(bound["estimate"], "crashed")
+    assert (shown["allowed"], shown["answer"]) == ("below +2.5", bound["verdict"])
+    assert len(against) == len(PLAN.price) + 2 and {"u-turn", "roundabout"} <= {*against.columns}

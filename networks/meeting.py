@@ -19,7 +19,7 @@ from sumo_env.networks.lanes import Point
 # [m] That the way along one edge, or across the junction that joins two, may be longer than the vehicles: SUMO's length
 # of an edge may be a multiple of the drawn one. A road that loops back over itself has a longer way.
 JOINED = 50.0
-BESIDE = 5.0  # [m] between the middles of two lanes: vehicles on lanes that are further apart do not touch
+MOST_APART = 5.0  # [m] between the middles of two lanes on which vehicles can touch
 SAMPLE = 5.0  # [m] between the points of a lane that are looked at
 FURTHEST = 100.0  # [m] between two junctions that are looked at: TTC_RADIUS of `sumo_env.contacts.measures`
 CLEARANCE = 3.0  # [m] of height between two roads, one above the other
@@ -96,7 +96,7 @@ class Meeting:
             drawn = polyLength(shape)
             while ends.length and found < drawn:  # 0 for lanes inside junctions
                 point = positionAtShapeOffset(shape, found)
-                if point is None or distancePointToPolygon(point, self._shapes[other]) > BESIDE:
+                if point is None or distancePointToPolygon(point, self._shapes[other]) > MOST_APART:
                     break
                 found += SAMPLE
             found *= ends.length / drawn if found else 0.0

@@ -25,7 +25,7 @@ FEATURES = (*POSE, *_DIRECTION, *OFFSETS)
 RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
 
 
-class Eyes(NamedTuple):
+class TableForm(NamedTuple):
     """A Kinematics table in numbers, for Python and for kernels; arrays have shape (features,)."""
 
     features: Any  # places in FEATURES
@@ -94,7 +94,7 @@ class Kinematics:
         columns = len(self.features)
         self.space = spaces.Box(-np.inf, np.inf, (rows, columns), np.float32)
         self._own_axes = on_its_way and not self.absolute
-        self.eyes = Eyes(
+        self.form = TableForm(
             np.array([known.index(feature) for feature in self.features]),
             np.array([feature in RELATIVE and not self.absolute for feature in self.features]),
             *(np.ones(columns), np.zeros(columns), np.full(columns, -np.inf), np.full(columns, np.inf)),
@@ -105,10 +105,10 @@ class Kinematics:
         for column, feature in enumerate(self.features if given["normalize"] else ()):
             if feature in self.ranges:
                 low, high = self.ranges[feature]
-                self.eyes.scale[column] = 2.0 / (high - low)
-                self.eyes.shift[column] = -1.0 - low * 2.0 / (high - low)
+                self.form.scale[column] = 2.0 / (high - low)
+                self.form.shift[column] = -1.0 - low * 2.0 / (high - low)
                 if given["clip"]:
-                    self.eyes.low[column], self.eyes.high[column] = -1.0, 1.0
+                    self.form.low[column], self.form.high[column] = -1.0, 1.0
 
     def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> list[int]:
         """Rows of the scene in the order of the table, the ego's first.
@@ -119,31 +119,31 @@ class Kinematics:
         geometry = road.lane(lane)
         x, y = scene.x.tolist(), scene.y.tolist()
         here, _ = geometry.local_coordinates(x[0], y[0])
-        furthest_behind = -math.inf if self.eyes.see_behind else -2.0 * VEHICLE_LENGTH
+        furthest_behind = -math.inf if self.form.see_behind else -2.0 * VEHICLE_LENGTH
         seen = []
         for row in range(1, len(x)):
             if math.hypot(x[row] - x[0], y[row] - y[0]) < PERCEPTION_DISTANCE:
                 ahead = geometry.local_coordinates(x[row], y[row])[0] - here
                 if ahead > furthest_behind:
                     seen.append((abs(ahead), row))
-        if self.eyes.is_sorted:
+        if self.form.is_sorted:
             seen.sort()
-        return [0, *[row for _, row in seen[: self.eyes.rows - 1]]]
+        return [0, *[row for _, row in seen[: self.form.rows - 1]]]
 
     def observe(self, seen: Situation) -> Array:
         """The table, float32 of shape (vehicles_count, features), rows without a vehicle are zero."""
         rows = self.visible(seen.scene, seen.road, seen.ego.lane)
         columns = self.columns(seen.scene, seen.road, rows, seen.specs)
         values = np.array([columns[feature] for feature in self.features]).T
-        eyes = self.eyes
-        values[1:] -= values[0] * eyes.relative
-        values *= eyes.scale
-        values += eyes.shift
-        np.maximum(values, eyes.low, out=values)
-        np.minimum(values, eyes.high, out=values)
-        table = np.zeros((eyes.rows, len(self.features)), np.float32)
+        form = self.form
+        values[1:] -= values[0] * form.relative
+        values *= form.scale
+        values += form.shift
+        np.maximum(values, form.low, out=values)
+        np.minimum(values, form.high, out=values)
+        table = np.zeros((form.rows, len(self.features)), np.float32)
         table[: len(rows)] = values
-        if not eyes.is_sorted:
+        if not form.is_sorted:
             seen.rng.shuffle(table[1:])
         return table
 

@@ -125,7 +125,7 @@ class CrashDetector:
         self.crash: CrashRecord | None = None
         self.reported: Collection[str] = ()
 
-    def look(
+    def detect(
         self,
         time: float,
         dt: float,

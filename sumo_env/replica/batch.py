@@ -13,12 +13,12 @@ import numpy as np
 
 from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.measures import DENSITY_RADIUS
-from sumo_env.observation import Eyes
+from sumo_env.observation import TableForm
 from sumo_env.replica import tables
-from sumo_env.replica.compiled import borrowing, compiled, readable
+from sumo_env.replica.compiled import compiled, inlined, readable
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
-from sumo_env.replica.sight import ego_place, look
+from sumo_env.replica.sight import ego_place, observe
 from sumo_env.replica.step import Rules, hold, policy_step, staying
 from sumo_env.tasks import base
 from sumo_env.tasks.base import Task, lmap
@@ -50,7 +50,7 @@ OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
 )
 
 OUTCOME = readable(OUTCOME)
-_nearest_index, _speed_term = borrowing(base.nearest_index), borrowing(base.speed_term)
+_nearest_index, _speed_term = inlined(base.nearest_index), inlined(base.speed_term)
 
 
 class Start(NamedTuple):
@@ -63,7 +63,7 @@ class Start(NamedTuple):
     events: tables.Records
 
 
-class Pay(NamedTuple):
+class RewardWeights(NamedTuple):
     """What a configuration pays: the weights of the terms of `Task.rewards`, 0 where a task has none."""
 
     task: int  # place in PAID
@@ -77,7 +77,7 @@ class Pay(NamedTuple):
     offroad_terminal: bool
 
 
-def pay_of(task: Task, config: Config) -> Pay:
+def reward_weights(task: Task, config: Config) -> RewardWeights:
     """The rewards of one of the five tasks under a resolved configuration.
 
     Raises:
@@ -94,7 +94,7 @@ def pay_of(task: Task, config: Config) -> Pay:
     limits = task.reward_limits(config) if config.get("normalize_reward") else None
     low, high = limits or (0.0, 1.0)
     slow, fast = config.get("reward_speed_range", (0.0, 1.0))
-    return Pay(
+    return RewardWeights(
         task=PAID.index(task.name),
         collision=weight("collision_reward"),
         lane=weight(LANE_REWARDS.get(task.name, "")),
@@ -107,14 +107,14 @@ def pay_of(task: Task, config: Config) -> Pay:
     )
 
 
-class Law(NamedTuple):
+class EnvParams(NamedTuple):
     """What all episodes of a batch have in common."""
 
     lanes: tables.Records
-    seen_lanes: tables.Records  # for the ego's eyes
+    seen_lanes: tables.Records  # that the ego sees
     rules: Rules
-    eyes: Eyes
-    pay: Pay
+    form: TableForm
+    weights: RewardWeights
     speeds: np.ndarray  # that the ego can be commanded [m/s]
     speed_changes: np.ndarray  # by action: +1, 0 or -1
     sides: np.ndarray  # likewise
@@ -193,24 +193,24 @@ def remaining(batch: Batch, row: int, lanes: tables.Records) -> list[tuple[float
 # -- kernels ------------------------------------------------------------------------------------------------------
 
 
-@borrowing
-def command(law: Any, ego: Any, episode: Any, action: int) -> None:
+@inlined
+def command(params: Any, ego: Any, episode: Any, action: int) -> None:
     """``MDPVehicle.act``: what a meta-action changes, see `sumo_env.actions`."""
-    if law.speed_changes[action] != 0:
-        wanted = _nearest_index(ego.speed, law.speeds) + law.speed_changes[action]
-        episode.speed_index = min(max(wanted, 0), len(law.speeds) - 1)
-    ego.target_speed = law.speeds[episode.speed_index]
-    follow_road(law.lanes, ego, local_coordinates(law.lanes[ego.target], ego.x, ego.y)[0])
-    if law.sides[action] != 0:
-        road = law.lanes[ego.target].road
-        last = road + law.lanes[ego.target].abreast - 1
-        beside = min(max(ego.target + law.sides[action], road), last)
-        s, lat = local_coordinates(law.lanes[beside], ego.x, ego.y)
-        if is_reachable(law.lanes[beside], s, lat):
+    if params.speed_changes[action] != 0:
+        wanted = _nearest_index(ego.speed, params.speeds) + params.speed_changes[action]
+        episode.speed_index = min(max(wanted, 0), len(params.speeds) - 1)
+    ego.target_speed = params.speeds[episode.speed_index]
+    follow_road(params.lanes, ego, local_coordinates(params.lanes[ego.target], ego.x, ego.y)[0])
+    if params.sides[action] != 0:
+        road = params.lanes[ego.target].road
+        last = road + params.lanes[ego.target].abreast - 1
+        beside = min(max(ego.target + params.sides[action], road), last)
+        s, lat = local_coordinates(params.lanes[beside], ego.x, ego.y)
+        if is_reachable(params.lanes[beside], s, lat):
             ego.target = beside
 
 
-@borrowing
+@inlined
 def density(cars: Any) -> int:
     """`measures.density` around the ego, the first car."""
     count = 0
@@ -220,59 +220,59 @@ def density(cars: Any) -> int:
     return count
 
 
-@borrowing
+@inlined
 def has_arrived(lanes: Any, ego: Any, s: float) -> bool:
     """`Intersection.arrived`; s: of the ego on its lane [m]."""
     return lanes[ego.lane].is_exit and s >= ARRIVAL
 
 
-@borrowing
+@inlined
 def reward(
-    pay: Any, lanes: Any, ego: Any, action: int, speed_index: int, speeds: int, on_road: bool, arrived: bool
+    w: Any, lanes: Any, ego: Any, action: int, speed_index: int, speeds: int, on_road: bool, arrived: bool
 ) -> float:
     """`Task.reward` after a policy step; speeds: number of target speeds."""
     here, target = ego.lane - lanes[ego.lane].road, ego.target - lanes[ego.target].road
-    total = pay.collision * ego.crashed
-    if pay.task == HIGHWAY:
-        total += pay.lane * (target / max(lanes[ego.target].abreast - 1, 1))
-        total += pay.speed * _speed_term(ego.speed * ego.cos, pay.speed_range)
-    elif pay.task == TWO_WAY:
-        return pay.speed * (speed_index / (speeds - 1)) + pay.lane * (1 - target)
-    elif pay.task == ROUNDABOUT:
-        total += pay.speed * (speed_index / 2)
-        total += pay.lane_change * (action == 0 or action == 2)
-    elif pay.task == INTERSECTION:
-        total = pay.arrived if arrived else total + pay.speed * _speed_term(ego.speed, pay.speed_range)
-        return lmap(total * on_road, pay.limits, (0.0, 1.0))
-    elif pay.task == U_TURN:
-        total += pay.lane * here
-        total += pay.speed * _speed_term(ego.speed, pay.speed_range)
-    return lmap(total, pay.limits, (0.0, 1.0)) * on_road
+    total = w.collision * ego.crashed
+    if w.task == HIGHWAY:
+        total += w.lane * (target / max(lanes[ego.target].abreast - 1, 1))
+        total += w.speed * _speed_term(ego.speed * ego.cos, w.speed_range)
+    elif w.task == TWO_WAY:
+        return w.speed * (speed_index / (speeds - 1)) + w.lane * (1 - target)
+    elif w.task == ROUNDABOUT:
+        total += w.speed * (speed_index / 2)
+        total += w.lane_change * (action == 0 or action == 2)
+    elif w.task == INTERSECTION:
+        total = w.arrived if arrived else total + w.speed * _speed_term(ego.speed, w.speed_range)
+        return lmap(total * on_road, w.limits, (0.0, 1.0))
+    elif w.task == U_TURN:
+        total += w.lane * here
+        total += w.speed * _speed_term(ego.speed, w.speed_range)
+    return lmap(total, w.limits, (0.0, 1.0)) * on_road
 
 
 @compiled
-def judge(law: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
+def judge_step(params: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
     """Write down how the ego is, and what a step pays and ends; `action` AFRESH: before the first step."""
     ego = cars[0]
-    _, s, _, on_road = ego_place(law.seen_lanes, cars)
-    arrived = has_arrived(law.seen_lanes, ego, s)
+    _, s, _, on_road = ego_place(params.seen_lanes, cars)
+    arrived = has_arrived(params.seen_lanes, ego, s)
     outcome.speed, outcome.crashed = ego.speed, ego.crashed
     outcome.on_road, outcome.arrived = on_road, arrived
     outcome.density = density(cars)
     outcome.reward, outcome.terminated, outcome.truncated = 0.0, False, False
-    if law.rules.is_steered:
-        episode.speed_index = _nearest_index(ego.speed, law.speeds)
+    if params.rules.is_steered:
+        episode.speed_index = _nearest_index(ego.speed, params.speeds)
     if action != AFRESH:
-        count = len(law.speeds)
+        count = len(params.speeds)
         outcome.reward = reward(
-            law.pay, law.seen_lanes, ego, action, episode.speed_index, count, on_road, arrived
+            params.weights, params.seen_lanes, ego, action, episode.speed_index, count, on_road, arrived
         )
-        outcome.terminated = ego.crashed or arrived or (law.pay.offroad_terminal and not on_road)
-        outcome.truncated = episode.steps >= law.time_limit
+        outcome.terminated = ego.crashed or arrived or (params.weights.offroad_terminal and not on_road)
+        outcome.truncated = episode.steps >= params.time_limit
 
 
 @compiled
-def drive(law: Any, batch: Any, actions: Any, controls: Any, first: int, end: int) -> None:
+def drive(params: Any, batch: Any, actions: Any, controls: Any, first: int, end: int) -> None:
     """One policy step of the episodes from row `first` to row `end`.
 
     Args:
@@ -286,11 +286,11 @@ def drive(law: Any, batch: Any, actions: Any, controls: Any, first: int, end: in
             continue
         outcome.min_ttc, outcome.distance = math.inf, 0.0
         if action != AFRESH:
-            if law.rules.is_steered:
+            if params.rules.is_steered:
                 hold(batch.cars[row, 0], controls[row, 0], controls[row, 1])
             else:
-                command(law, batch.cars[row, 0], episode, action)
-            _, outcome.min_ttc, outcome.distance = policy_step(law.lanes, law.rules, batch, row, trace)
+                command(params, batch.cars[row, 0], episode, action)
+            _, outcome.min_ttc, outcome.distance = policy_step(params.lanes, params.rules, batch, row, trace)
         cars = batch.cars[row, : episode.cars]
-        judge(law, cars, episode, outcome, action)
-        look(law.seen_lanes, cars, law.eyes, batch.observations[row])
+        judge_step(params, cars, episode, outcome, action)
+        observe(params.seen_lanes, cars, params.form, batch.observations[row])

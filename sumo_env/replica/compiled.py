@@ -43,7 +43,7 @@ def compiled(function: Function) -> Function:
     return _compiled(function, counts=True)
 
 
-def borrowing(function: Function) -> Function:
+def inlined(function: Function) -> Function:
     """As `compiled`, for functions that make no arrays and return none.
 
     Inlined and without reference counting: passing some eighty numbers that describe arrays costs more than physics.
@@ -81,7 +81,7 @@ def _drop_stale(folder: str) -> None:
 
 
 @contextmanager
-def announced(function: Any) -> Iterator[None]:
+def compile_notice(function: Any) -> Iterator[None]:
     """Say that kernels are compiled, and how long it took, unless the machine code of `function` is on the disk."""
     if AS_PYTHON:
         yield

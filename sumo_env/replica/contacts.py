@@ -11,12 +11,12 @@ from typing import Any
 from sumo_env.contacts import measures
 from sumo_env.contacts.measures import HORIZON, TTC_RADIUS
 from sumo_env.contacts.rectangles import DIAGONAL, HALF_LENGTH, HALF_WIDTH
-from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.compiled import inlined
 
-_ego_ttc = borrowing(measures.ego_ttc)
+_ego_ttc = inlined(measures.ego_ttc)
 
 
-@borrowing
+@inlined
 def corners(car: Any) -> Any:
     """``RoadObject.polygon``: the four corners, x and y [m] each."""
     along_x, along_y = HALF_LENGTH * car.cos, HALF_LENGTH * car.sin
@@ -29,7 +29,7 @@ def corners(car: Any) -> Any:
     )
 
 
-@borrowing
+@inlined
 def shadow(points: Any, x: float, y: float) -> tuple[float, float]:
     """Least and largest coordinate of the points along the direction (x, y)."""
     low, high = math.inf, -math.inf
@@ -39,13 +39,13 @@ def shadow(points: Any, x: float, y: float) -> tuple[float, float]:
     return low, high
 
 
-@borrowing
+@inlined
 def interval_distance(low: float, high: float, other_low: float, other_high: float) -> float:
     """``utils.interval_distance``, negative if the intervals overlap."""
     return other_low - high if low < other_low else low - other_high
 
 
-@borrowing
+@inlined
 def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]:
     """``utils.are_polygons_intersecting``: do cars touch now, will they after `dt` [s], and the way out of it.
 
@@ -83,7 +83,7 @@ def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]
     return now, soon, least * way_x, least * way_y
 
 
-@borrowing
+@inlined
 def row_of(k: int, before_ego: int) -> int:
     """The row of car number `k` in highway-env's order of vehicles, in which others come before the ego, row 0."""
     if k > before_ego:
@@ -91,7 +91,7 @@ def row_of(k: int, before_ego: int) -> int:
     return k + 1 if k < before_ego else 0
 
 
-@borrowing
+@inlined
 def count_near(x: Any, place: float, near: float) -> int:
     """How many of the numbers in `x` are within `near` of `place`; compiled, eight are compared at once."""
     count = 0
@@ -100,7 +100,7 @@ def count_near(x: Any, place: float, near: float) -> int:
     return count
 
 
-@borrowing
+@inlined
 def collide(cars: Any, places: Any, rules: Any, before_ego: int) -> None:
     """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step.
 
@@ -133,7 +133,7 @@ def collide(cars: Any, places: Any, rules: Any, before_ego: int) -> None:
                 a.crashed = b.crashed = True
 
 
-@borrowing
+@inlined
 def ego_ttc(cars: Any) -> float:
     """``measures.ego_ttc`` of the ego, the first car, with those within TTC_RADIUS [s]."""
     ego, least = cars[0], math.inf
@@ -146,7 +146,7 @@ def ego_ttc(cars: Any) -> float:
     return least
 
 
-@borrowing
+@inlined
 def trace_ttc(frame: Any, row: int) -> float:
     """`ego_ttc` of the car in this row of a frame of a trace, whose first rows are x, y, speed and heading."""
     x, y, least = frame[0, row], frame[1, row], math.inf

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.compiled import inlined
 from sumo_env.replica.geometry import beyond_ends, local_coordinates, not_zero, position
 from sumo_env.replica.neighbours import distance_beyond, neighbours
 from sumo_env.replica.numpy_loops import binary, each_pair, power
@@ -30,7 +30,7 @@ REACHABLE = 8.0  # [m] from the centre line
 # -- the route ----------------------------------------------------------------------------------------------------
 
 
-@borrowing
+@inlined
 def nearest_of_road(lanes: Any, lane: int, road: int, x: float, y: float) -> tuple[int, float]:
     """``RoadNetwork.next_lane_given_next_road``: the lane of the next road, and its distance to (x, y) [m]."""
     first, last = road, road + lanes[road].abreast
@@ -46,7 +46,7 @@ def nearest_of_road(lanes: Any, lane: int, road: int, x: float, y: float) -> tup
     return best, least
 
 
-@borrowing
+@inlined
 def next_lane(lanes: Any, car: Any, s: float) -> int:
     """``RoadNetwork.next_lane`` after the lane that a car steers for, which it has driven for `s` [m]."""
     lane = lanes[car.target]
@@ -68,7 +68,7 @@ def next_lane(lanes: Any, car: Any, s: float) -> int:
     return best
 
 
-@borrowing
+@inlined
 def follow_road(lanes: Any, car: Any, s: float) -> None:
     """``ControlledVehicle.follow_road``: on the last half vehicle length of a lane, steer for the next one.
 
@@ -81,7 +81,7 @@ def follow_road(lanes: Any, car: Any, s: float) -> None:
 # -- car following ------------------------------------------------------------------------------------------------
 
 
-@borrowing
+@inlined
 def desired_gap(driver: Any, speed: float, faster: float) -> float:
     """``IDMVehicle.desired_gap``: the distance of centres [m] that `driver` wants at this speed [m/s].
 
@@ -91,7 +91,7 @@ def desired_gap(driver: Any, speed: float, faster: float) -> float:
     return driver.jam_distance + speed * driver.tau + speed * faster / braking
 
 
-@borrowing
+@inlined
 def approach(car: Any, leader: Any) -> float:
     """How much faster than a leader a car drives, along its own heading [m/s]."""
     faster_x = car.speed * car.cos - leader.speed * leader.cos
@@ -99,7 +99,7 @@ def approach(car: Any, leader: Any) -> float:
     return faster_x * car.cos + faster_y * car.sin
 
 
-@borrowing
+@inlined
 def ahead(lanes: Any, places: Any, rules: Any, car: Any, i: int, j: int) -> tuple[float, bool]:
     """Distance of car `j` ahead of car `i` [m], and whether that is along the path beyond the end of the lane."""
     if rules.along_path:
@@ -109,7 +109,7 @@ def ahead(lanes: Any, places: Any, rules: Any, car: Any, i: int, j: int) -> tupl
     return places.s[car.lane, j] - places.s[car.lane, i], False
 
 
-@borrowing
+@inlined
 def linear_acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int, i: int, j: int) -> float:
     """``LinearVehicle.acceleration`` [m/s2]; arguments as in `acceleration`."""
     car, driver = cars[i], cars[who]
@@ -125,24 +125,24 @@ def linear_acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int
     )
 
 
-@borrowing
-def part_of_wish(lanes: Any, car: Any) -> float:
+@inlined
+def speed_ratio(lanes: Any, car: Any) -> float:
     """Speed of a car over that which its driver wants on its lane, (v / v0)."""
     return max(car.speed, 0.0) / not_zero(min(max(car.target_speed, 0.0), lanes[car.lane].limit))
 
 
-@borrowing
+@inlined
 def free_roads(lanes: Any, cars: Any, places: Any) -> None:
     """Write the acceleration of every driver with nobody ahead, which all decisions of a sub-step share."""
     free, delta = places.free, places.room[0]
     for i in range(len(cars)):
-        free[i], delta[i] = part_of_wish(lanes, cars[i]), cars[i].delta
+        free[i], delta[i] = speed_ratio(lanes, cars[i]), cars[i].delta
     each_pair(power, free, delta)
     for i in range(len(cars)):
         free[i] = cars[i].accel * (1.0 - free[i])
 
 
-@borrowing
+@inlined
 def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int, i: int, j: int) -> float:
     """``IDMVehicle.acceleration`` [m/s2] of car `i` behind car `j` by the parameters of driver `who`; NONE: nobody.
 
@@ -156,7 +156,7 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int, i: in
         return linear_acceleration(lanes, cars, places, rules, who, i, j)
     result = places.free[i]
     if who != i:
-        result = driver.accel * (1.0 - binary(power, part_of_wish(lanes, car), driver.delta))
+        result = driver.accel * (1.0 - binary(power, speed_ratio(lanes, car), driver.delta))
     if j == NONE:
         return result
     distance, is_beyond = ahead(lanes, places, rules, car, i, j)
@@ -168,13 +168,13 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int, i: in
 # -- lane changes -------------------------------------------------------------------------------------------------
 
 
-@borrowing
+@inlined
 def is_reachable(lane: Any, s: float, lat: float) -> bool:
     """``AbstractLane.is_reachable_from`` of the point (s, lat) [m]."""
     return abs(lat) <= REACHABLE and 0.0 <= s < lane.length + VEHICLE_LENGTH
 
 
-@borrowing
+@inlined
 def is_taken(cars: Any, places: Any, i: int) -> bool:
     """Is a car ahead of `i`, closer than `i` likes and not there yet, changing to the lane that `i` is changing to?"""
     car = cars[i]
@@ -186,7 +186,7 @@ def is_taken(cars: Any, places: Any, i: int) -> bool:
     return False
 
 
-@borrowing
+@inlined
 def mobil(lanes: Any, cars: Any, places: Any, rules: Any, i: int, lane: int) -> bool:
     """``IDMVehicle.mobil``: is a change of car `i` to `lane` safe, and either planned or worth it?"""
     car = cars[i]
@@ -204,7 +204,7 @@ def mobil(lanes: Any, cars: Any, places: Any, rules: Any, i: int, lane: int) -> 
     return after - before >= car.min_gain
 
 
-@borrowing
+@inlined
 def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     """``IDMVehicle.change_lane_policy``: decide by MOBIL, or give up a change that another driver makes too."""
     car = cars[i]
@@ -227,7 +227,7 @@ def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
 # -- all together -------------------------------------------------------------------------------------------------
 
 
-@borrowing
+@inlined
 def drive(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     """``IDMVehicle.act`` but for the steering: writes the car's target lane and acceleration."""
     car = cars[i]

@@ -18,7 +18,7 @@ from sumo_env.replica.batch import Start
 from sumo_env.replica.draws import INSTEAD
 from sumo_env.replica.linear import LAWS
 from sumo_env.replica.linear import draw as draw_linear
-from sumo_env.replica.sight import eyes_of
+from sumo_env.replica.sight import form_of
 from sumo_env.replica.simulator import Replica
 from sumo_env.scene import Scene
 from sumo_env.tasks.base import Task
@@ -59,7 +59,7 @@ VERSIONS: dict[tuple[str, int], Config] = {
     ("intersection", 2): CONNECTED,
 }
 # Keys of `sumo_env` that highway-env's task does not have.
-OURS: dict[str, tuple[str, ...]] = {
+ADDED_KEYS: dict[str, tuple[str, ...]] = {
     "two-way": ("vehicles_count", "oncoming_vehicles_count", "road_length", "duration"),
     "roundabout": ("vehicles_count",),
     "u-turn": ("vehicles_count",),
@@ -138,7 +138,7 @@ class ReplicaEnv(DrivingEnv):
         if self.is_stock or self._versioned:
             self.replica.connected = bool(self.config.get("neighbour_vehicles_connected_lanes", False))
         kinematics = self._observation_type
-        self.eyes = eyes_of(kinematics) if isinstance(kinematics, Kinematics) else None
+        self.form = form_of(kinematics) if isinstance(kinematics, Kinematics) else None
 
     def _without_ours(self, config: Mapping[str, Any]) -> Config:
         """The configuration without keys that highway-env's task does not have, which it ignores.
@@ -152,7 +152,7 @@ class ReplicaEnv(DrivingEnv):
                 f"config key 'risk' can only be 0.0, not {known['risk']!r}: highway-env's "
                 f"{self.task.name}-v0 has no such key; {INSTEAD}"
             )
-        ours = OURS.get(self.task.name, ())
+        ours = ADDED_KEYS.get(self.task.name, ())
         for key in ours:
             if known.get(key, defaults[key]) != defaults[key]:
                 ignore(f"the task {self.task.name!r}", key, INSTEAD)
@@ -217,10 +217,10 @@ class ReplicaEnv(DrivingEnv):
     def _observe(self) -> Observation:
         if self._action_type.steers:  # it follows no route
             self._spec_of[self.ego_id] = self._spec_of[self.ego_id]._replace(destination=None)
-        if self._own_observation is not None or self.eyes is None:
+        if self._own_observation is not None or self.form is None:
             return super()._observe()
-        table = self.replica.table(self.eyes)
-        if not self.eyes.is_sorted:
+        table = self.replica.table(self.form)
+        if not self.form.is_sorted:
             self.np_random.shuffle(table[1:])
         return table
 

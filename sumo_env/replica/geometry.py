@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.compiled import compiled, inlined
 from sumo_env.replica.numpy_loops import arctan, arctan2, each_pair, unary
 from sumo_env.replica.tables import CIRCULAR, NONE, SINE
 from sumo_env.scene import VEHICLE_LENGTH
@@ -26,12 +26,12 @@ class Places(NamedTuple):
     lat: Any
     order: Any  # the cars that a driver on a lane sees, from the rear to the front
     seen: Any  # where each of these is along the lane [m]
-    count: Any  # how many these are, shape (lanes,); NONE if nobody has looked yet, see `neighbours.look`
+    count: Any  # how many these are, shape (lanes,); NONE until `neighbours.sort_lane` has sorted them
     free: Any  # acceleration of each driver on a free road [m/s2], shape (cars,), see `driving.free_roads`
     room: Any  # for numbers of each car that a kernel needs meanwhile, shape (4, cars)
 
 
-@borrowing
+@inlined
 def wrapped(angle: float) -> float:
     """``utils.wrap_to_pi`` [rad], to the bit; within a turn or two, where nearly all angles are, without a division."""
     shifted = angle + math.pi
@@ -44,7 +44,7 @@ def wrapped(angle: float) -> float:
     return shifted - math.pi
 
 
-@borrowing
+@inlined
 def not_zero(value: float) -> float:
     """``utils.not_zero``."""
     if abs(value) > 1e-2:
@@ -52,7 +52,7 @@ def not_zero(value: float) -> float:
     return 1e-2 if value >= 0.0 else -1e-2
 
 
-@borrowing
+@inlined
 def position(lane: Any, s: float) -> tuple[float, float]:
     """``AbstractLane.position`` on the centre line, x and y [m]."""
     if lane.kind == CIRCULAR:
@@ -62,7 +62,7 @@ def position(lane: Any, s: float) -> tuple[float, float]:
     return lane.x + s * lane.cos - lat * lane.sin, lane.y + s * lane.sin + lat * lane.cos
 
 
-@borrowing
+@inlined
 def heading_at(lane: Any, s: float) -> float:
     """``AbstractLane.heading_at`` [rad]."""
     if lane.kind == CIRCULAR:
@@ -73,7 +73,7 @@ def heading_at(lane: Any, s: float) -> float:
     return lane.heading
 
 
-@borrowing
+@inlined
 def on_axis(lane: Any, x: float, y: float) -> tuple[float, float]:
     """(s, lat) [m] on a straight or sine lane."""
     dx, dy = x - lane.x, y - lane.y
@@ -83,14 +83,14 @@ def on_axis(lane: Any, x: float, y: float) -> tuple[float, float]:
     return s, lat
 
 
-@borrowing
+@inlined
 def on_circle(lane: Any, phi: float, radius: float) -> tuple[float, float]:
     """(s, lat) [m] on a circular lane of the point with these polar coordinates about its centre [rad, m]."""
     phi = lane.start_phase + wrapped(phi - lane.start_phase)
     return lane.turn * (phi - lane.start_phase) * lane.radius, lane.turn * (lane.radius - radius)
 
 
-@borrowing
+@inlined
 def local_coordinates(lane: Any, x: float, y: float) -> tuple[float, float]:
     """``AbstractLane.local_coordinates``: (s, lat) [m]."""
     if lane.kind == CIRCULAR:
@@ -99,13 +99,13 @@ def local_coordinates(lane: Any, x: float, y: float) -> tuple[float, float]:
     return on_axis(lane, x, y)
 
 
-@borrowing
+@inlined
 def beyond_ends(lane: Any, s: float, lat: float) -> float:
     """``AbstractLane.distance`` of the point (s, lat) [m]."""
     return abs(lat) + max(s - lane.length, 0.0) + max(-s, 0.0)
 
 
-@borrowing
+@inlined
 def is_on(lane: Any, s: float, lat: float) -> bool:
     """``AbstractLane.on_lane`` with a margin of 1 m."""
     return abs(lat) <= NEAR and -VEHICLE_LENGTH <= s < lane.length + VEHICLE_LENGTH
@@ -119,7 +119,7 @@ def no_places(lanes: Any, cars: Any) -> Places:
     return Places(s, lat, order, seen, np.empty(len(lanes), np.int64), np.empty(n), np.empty((4, n)))
 
 
-@borrowing
+@inlined
 def locate(lanes: Any, cars: Any, places: Any) -> None:
     """Write where all cars are on all lanes into `places`; nobody has looked at anybody yet."""
     places.count[:] = NONE
@@ -144,13 +144,13 @@ def locate(lanes: Any, cars: Any, places: Any) -> None:
                 places.s[k, j], places.lat[k, j] = on_axis(lane, x[j], y[j])
 
 
-@borrowing
+@inlined
 def from_lane(lane: Any, s: float, lat: float, heading: float) -> float:
     """``AbstractLane.distance_with_heading`` of a car at (s, lat) [m]."""
     return beyond_ends(lane, s, lat) + abs(wrapped(heading - heading_at(lane, s)))
 
 
-@borrowing
+@inlined
 def closest_lane(lanes: Any, places: Any, j: int, heading: float, last: int) -> int:
     """``RoadNetwork.get_closest_lane_index`` of car `j`, which was on lane `last`; of equally close lanes the first."""
     enough = from_lane(lanes[last], places.s[last, j], places.lat[last, j], heading)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.compiled import compiled, inlined
 from sumo_env.replica.geometry import heading_at, position
 from sumo_env.replica.motion import move
 from sumo_env.replica.tables import NONE
@@ -25,7 +25,7 @@ MEETING_DISTANCE = 5.0  # [m] centres that are further apart do not meet
 HALF_LENGTH, HALF_WIDTH = 1.5 * VEHICLE_LENGTH / 2.0, 0.9 * VEHICLE_WIDTH / 2.0
 
 
-@borrowing
+@inlined
 def route_lane(lanes: Any, car: Any, leg: int) -> int:
     """The lane of this leg of the route, NONE beyond its end: the planned one or that of the car's own number."""
     if leg >= len(car.route) or car.route[leg] == NONE:
@@ -34,7 +34,7 @@ def route_lane(lanes: Any, car: Any, leg: int) -> int:
     return car.route[leg] + beside
 
 
-@borrowing
+@inlined
 def predict(lanes: Any, cars: Any, places: Any, predicted: Any) -> None:
     """Write x, y [m] and heading [rad] of all cars in the next seconds, shape (cars, SAMPLES, 3).
 
@@ -58,7 +58,7 @@ def predict(lanes: Any, cars: Any, places: Any, predicted: Any) -> None:
             predicted[i, k, 2] = heading_at(lanes[lane], s)
 
 
-@borrowing
+@inlined
 def predict_steered(cars: Any, rules: Any, ghost: Any, slip: Any, predicted: Any) -> None:
     """Write where steered learning cars will be if they keep their speeds and the angles of their wheels.
 
@@ -75,7 +75,7 @@ def predict_steered(cars: Any, rules: Any, ghost: Any, slip: Any, predicted: Any
             predicted[i, k, 2] = ghost[0].heading
 
 
-@borrowing
+@inlined
 def reaches_into(dx: float, dy: float, heading: float, other_heading: float) -> bool:
     """``utils.has_corner_inside``: is one of nine points of a rectangle in another one, (dx, dy) [m] away from it?
 
@@ -94,7 +94,7 @@ def reaches_into(dx: float, dy: float, heading: float, other_heading: float) -> 
     return False
 
 
-@borrowing
+@inlined
 def will_meet(first: Any, second: Any) -> bool:
     """``RegulatedRoad.is_conflict_possible`` of two predicted cars, shapes (SAMPLES, 3)."""
     for k in range(SAMPLES):
@@ -107,7 +107,7 @@ def will_meet(first: Any, second: Any) -> bool:
     return False
 
 
-@borrowing
+@inlined
 def has_to_yield(lanes: Any, cars: Any, i: int, j: int) -> int:
     """``RegulatedRoad.respect_priorities``: the one of two cars that has to give way."""
     a, b = cars[i], cars[j]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.compiled import inlined
 from sumo_env.replica.geometry import heading_at, not_zero, wrapped
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, each, tan
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH
@@ -22,13 +22,13 @@ YAW_INERTIA = 1 / 12 * (VEHICLE_LENGTH**2 + VEHICLE_WIDTH**2)  # [kg m2]
 MAX_YAW_RATE = 2 * math.pi  # [rad/s]
 
 
-@borrowing
+@inlined
 def clip(value: float, low: float, high: float) -> float:
     """``np.clip``."""
     return min(max(value, low), high)
 
 
-@borrowing
+@inlined
 def steer_linearly(car: Any, ahead: float, lat: float) -> float:
     """``LinearVehicle.steering_control``: the angle [rad] of a car at `lat` [m]; ahead: heading of its lane [rad]."""
     speed = not_zero(car.speed)
@@ -36,7 +36,7 @@ def steer_linearly(car: Any, ahead: float, lat: float) -> float:
     return car.heading_gain * turn + car.lateral_gain * (-lat * VEHICLE_LENGTH / (speed * speed))
 
 
-@borrowing
+@inlined
 def steer(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     """``ControlledVehicle.steering_control``: write the angles that lead cars to the middle of their target lanes."""
     angles = places.room[0]
@@ -63,7 +63,7 @@ def steer(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
         cars[i].steering = clip(angle, -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
 
 
-@borrowing
+@inlined
 def slopes(car: Any, heading: float, speed: float, lateral: float, yaw: float) -> tuple[Any, ...]:
     """``BicycleVehicle.derivative_func`` of x, y, heading, speed, lateral speed and yaw rate (Rajamani 2011)."""
     to_axle = VEHICLE_LENGTH / 2
@@ -84,7 +84,7 @@ def slopes(car: Any, heading: float, speed: float, lateral: float, yaw: float) -
     )
 
 
-@borrowing
+@inlined
 def slide(car: Any, dt: float) -> None:
     """``BicycleVehicle.step``: a Runge-Kutta step of `dt` [s] with tyres that slip; contacts do not push such a car."""
     car.steering = clip(car.steering, -math.pi / 2, math.pi / 2)
@@ -105,7 +105,7 @@ def slide(car: Any, dt: float) -> None:
     car.cos, car.sin = math.cos(car.heading), math.sin(car.heading)
 
 
-@borrowing
+@inlined
 def move(cars: Any, slips: Any, rules: Any, dt: float) -> None:
     """``Vehicle.step``: an explicit Euler step of `dt` [s]; wrecks coast straight on.
 

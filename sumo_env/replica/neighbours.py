@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.compiled import inlined
 from sumo_env.replica.geometry import is_on
 from sumo_env.replica.tables import NONE
 
 
-@borrowing
+@inlined
 def is_car_on(lanes: Any, places: Any, lane: int, j: int) -> bool:
     """Is car `j` on this lane, by a margin of 1 m?"""
     return is_on(lanes[lane], places.s[lane, j], places.lat[lane, j])
 
 
-@borrowing
-def look(lanes: Any, places: Any, lane: int) -> None:
+@inlined
+def sort_lane(lanes: Any, places: Any, lane: int) -> None:
     """Find the cars that a driver sees on a lane and on those joined to it, and sort them along the lane."""
     joined, offset = lanes[lane].joined, lanes[lane].offset
     order, seen = places.order[lane], places.seen[lane]
@@ -37,14 +37,14 @@ def look(lanes: Any, places: Any, lane: int) -> None:
     places.count[lane] = count
 
 
-@borrowing
+@inlined
 def neighbours(lanes: Any, places: Any, i: int, lane: int) -> tuple[int, int]:
     """The cars next ahead of and behind car `i` on a lane, NONE where there is nobody.
 
     Of cars at the same place, highway-env's search finds the last one ahead and the first one behind.
     """
     if places.count[lane] == NONE:
-        look(lanes, places, lane)
+        sort_lane(lanes, places, lane)
     s, count = places.s[lane, i], places.count[lane]
     first, end = 0, count  # of the cars at `s` or ahead
     while first < end:
@@ -67,7 +67,7 @@ def neighbours(lanes: Any, places: Any, i: int, lane: int) -> tuple[int, int]:
     return front, rear
 
 
-@borrowing
+@inlined
 def distance_beyond(lanes: Any, places: Any, lane: int, target: int, i: int, j: int) -> float:
     """Way of car `i` to car `j` beyond the end of its `lane` [m]; NaN if `j` is on its own road, or on none.
 

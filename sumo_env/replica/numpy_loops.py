@@ -23,7 +23,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from sumo_env.replica.compiled import AS_PYTHON, borrowing
+from sumo_env.replica.compiled import AS_PYTHON, inlined
 
 BYTE, NUMBER = ir.IntType(8), ir.IntType(64)
 POINTER = BYTE.as_pointer()
@@ -105,25 +105,25 @@ def _each_pair(typing_context: Any, loop: Any, address: Any, other: Any, count: 
     return types.void(loop, types.uintp, types.uintp, types.int64), _emit_each
 
 
-@borrowing
+@inlined
 def each(loop: Any, numbers: Any) -> None:
     """The function of every number of an array, in place; some loops take eight for the time of one."""
     _each(loop, numbers.ctypes.data, len(numbers))  # type: ignore[call-arg]
 
 
-@borrowing
+@inlined
 def each_pair(loop: Any, numbers: Any, others: Any) -> None:
     """The function of two numbers for every number of an array and of another; the results replace the former."""
     _each_pair(loop, numbers.ctypes.data, others.ctypes.data, len(numbers))  # type: ignore[call-arg]
 
 
-@borrowing
+@inlined
 def unary(loop: Any, x: float) -> float:
     """The tangent, arc sine or arc tangent of a number, such as ``unary(tan, x)``; all of 0 are 0."""
     return x if x == 0.0 else _unary(loop, x)  # type: ignore[call-arg]
 
 
-@borrowing
+@inlined
 def binary(loop: Any, x: float, y: float) -> float:
     """The arc tangent of y and x or the power of two numbers, such as ``binary(power, x, y)``."""
     return _binary(loop, x, y)  # type: ignore[call-arg]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from sumo_env.contacts import rectangles
-from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.compiled import inlined
 from sumo_env.replica.geometry import heading_at, position
 from sumo_env.replica.tables import CUT_IN
 from sumo_env.traffic.risk import CUT_IN_GAP, HALF_CORRIDOR, LOOKED_AT, SWERVE_TIME
@@ -16,10 +16,10 @@ from sumo_env.traffic.risk import CUT_IN_GAP, HALF_CORRIDOR, LOOKED_AT, SWERVE_T
 OWN_LANE, ONCOMING_LANE = 1, 0  # of the two-way road, both driven to the east
 ROUNDING = 1e-9  # [s] of sums of steps
 
-_distance = borrowing(rectangles.distance)
+_distance = inlined(rectangles.distance)
 
 
-@borrowing
+@inlined
 def has_room(lanes: Any, cars: Any, places: Any, i: int, lane: int) -> bool:
     """Would car `i`, moved straight sideways to the middle of `lane`, be at least CUT_IN_GAP from everybody else?"""
     s = places.s[lane, i]
@@ -34,7 +34,7 @@ def has_room(lanes: Any, cars: Any, places: Any, i: int, lane: int) -> bool:
     return True
 
 
-@borrowing
+@inlined
 def has_free_way(cars: Any, i: int) -> bool:
     """Is no centre of another car in the straight corridor ahead of car `i` that its surge needs?"""
     car = cars[i]
@@ -46,7 +46,7 @@ def has_free_way(cars: Any, i: int) -> bool:
     return True
 
 
-@borrowing
+@inlined
 def cut_in(lanes: Any, cars: Any, places: Any, i: int, direction: int) -> None:
     """Change to the lane on this side, or the other one, whatever MOBIL says; only where there is room."""
     car = cars[i]
@@ -57,7 +57,7 @@ def cut_in(lanes: Any, cars: Any, places: Any, i: int, direction: int) -> None:
             return
 
 
-@borrowing
+@inlined
 def swerve(lanes: Any, cars: Any, places: Any, i: int) -> None:
     """On the two-way road: drive in the oncoming lane for SWERVE_TIME; only from the middle of one's own."""
     car = cars[i]
@@ -65,7 +65,7 @@ def swerve(lanes: Any, cars: Any, places: Any, i: int) -> None:
         car.target, car.swerve_left = ONCOMING_LANE, SWERVE_TIME
 
 
-@borrowing
+@inlined
 def return_from_swerve(car: Any, dt: float) -> None:
     """Steer back for one's own lane when a swerve is over; called after every step of `dt` [s]."""
     if car.swerve_left > 0.0:
@@ -74,7 +74,7 @@ def return_from_swerve(car: Any, dt: float) -> None:
             car.target, car.swerve_left = OWN_LANE, 0.0
 
 
-@borrowing
+@inlined
 def start_events(lanes: Any, cars: Any, places: Any, rules: Any, events: Any, first: int, time: float) -> int:
     """Start the events from number `first` on that are due at `time` [s]; returns the number of the next one.
 
@@ -96,7 +96,7 @@ def start_events(lanes: Any, cars: Any, places: Any, rules: Any, events: Any, fi
     return first
 
 
-@borrowing
+@inlined
 def push(cars: Any, time: float, dt: float) -> None:
     """Sudden braking and surges on top of what the drivers want: changes the cars' accelerations.
 

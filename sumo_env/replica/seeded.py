@@ -16,7 +16,7 @@ import numpy as np
 
 from sumo_env.config import Config
 from sumo_env.replica import tables
-from sumo_env.replica.compiled import AS_PYTHON, borrowing, compiled
+from sumo_env.replica.compiled import AS_PYTHON, compiled, inlined
 from sumo_env.replica.geometry import from_lane, heading_at, local_coordinates, position
 from sumo_env.replica.tables import NONE
 from sumo_env.tasks import highway, roundabout, two_way, u_turn
@@ -131,7 +131,7 @@ def has_known_memory() -> bool:
     return not AS_PYTHON and low + (high << 64) == rng.bit_generator.state["state"]["state"]
 
 
-@borrowing
+@inlined
 def hashed(value: Any, key: Any, factor: Any) -> Any:
     """A step of SeedSequence's hash: the value and the next key."""
     value, key = (value ^ key) & LOW, (key * factor) & LOW
@@ -307,7 +307,7 @@ def place(draws: Any, rng: Any, memory: Any, cars: Any, seed: int) -> int:
     return count
 
 
-@borrowing
+@inlined
 def lane_at(lanes: Any, x: float, y: float, heading: float) -> int:
     """`Road.closest_lane`."""
     best, least = 0, math.inf

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.observation import FEATURES, OFFSETS, POSE, Eyes, Kinematics
-from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.observation import FEATURES, OFFSETS, POSE, Kinematics, TableForm
+from sumo_env.replica.compiled import compiled, inlined
 from sumo_env.replica.geometry import heading_at, is_on, local_coordinates, wrapped
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH
 
@@ -20,12 +20,12 @@ HALF_WIDTH = 2.0  # [m] of a lane
 FIRST_OFFSET = FEATURES.index(OFFSETS[0])
 
 
-def eyes_of(kinematics: Kinematics) -> Eyes | None:
-    """The observation for `look`; None if it has features that the kernel does not know."""
-    return kinematics.eyes if set(kinematics.features) <= {*POSE, *OFFSETS} else None
+def form_of(kinematics: Kinematics) -> TableForm | None:
+    """The observation for `observe`; None if it has features that the kernel does not know."""
+    return kinematics.form if set(kinematics.features) <= {*POSE, *OFFSETS} else None
 
 
-@borrowing
+@inlined
 def feature(lanes: Any, car: Any, k: int) -> float:
     """The value of a car that FEATURES[k] names."""
     if k >= FIRST_OFFSET:
@@ -36,38 +36,38 @@ def feature(lanes: Any, car: Any, k: int) -> float:
 
 
 @compiled
-def look(lanes: Any, cars: Any, eyes: Any, result: Any) -> None:
+def observe(lanes: Any, cars: Any, form: Any, result: Any) -> None:
     """Write the Kinematics table of the ego, the first car: float32 of shape (rows, features), zero beyond the last."""
     ego, lane = cars[0], lanes[cars[0].lane]
     here = local_coordinates(lane, ego.x, ego.y)[0]
-    rows, distances, seen = np.empty(eyes.rows, np.int64), np.empty(eyes.rows), 0
+    rows, distances, seen = np.empty(form.rows, np.int64), np.empty(form.rows), 0
     for j in range(1, len(cars)):
         if math.hypot(cars[j].x - ego.x, cars[j].y - ego.y) >= PERCEPTION_DISTANCE:
             continue
         ahead = local_coordinates(lane, cars[j].x, cars[j].y)[0] - here
-        if not eyes.see_behind and ahead <= -2.0 * VEHICLE_LENGTH:
+        if not form.see_behind and ahead <= -2.0 * VEHICLE_LENGTH:
             continue
         place = seen
-        while eyes.is_sorted and place > 0 and distances[place - 1] > abs(ahead):
+        while form.is_sorted and place > 0 and distances[place - 1] > abs(ahead):
             place -= 1
-        if place >= eyes.rows - 1:
+        if place >= form.rows - 1:
             continue
-        seen = min(seen + 1, eyes.rows - 1)
+        seen = min(seen + 1, form.rows - 1)
         for k in range(seen - 1, place, -1):
             rows[k], distances[k] = rows[k - 1], distances[k - 1]
         rows[place], distances[place] = j, abs(ahead)
     result[:] = 0.0
     for row in range(seen + 1):
         car = ego if row == 0 else cars[rows[row - 1]]
-        for k in range(len(eyes.features)):
-            value = feature(lanes, car, eyes.features[k])
-            if row > 0 and eyes.relative[k]:
-                value -= feature(lanes, ego, eyes.features[k])
-            value = value * eyes.scale[k] + eyes.shift[k]
-            result[row, k] = min(max(value, eyes.low[k]), eyes.high[k])
+        for k in range(len(form.features)):
+            value = feature(lanes, car, form.features[k])
+            if row > 0 and form.relative[k]:
+                value -= feature(lanes, ego, form.features[k])
+            value = value * form.scale[k] + form.shift[k]
+            result[row, k] = min(max(value, form.low[k]), form.high[k])
 
 
-@borrowing
+@inlined
 def ego_place(lanes: Any, cars: Any) -> tuple[int, float, float, bool]:
     """The ego's lane, where it is on it (s and lat) [m], and whether it is on the road."""
     lane = lanes[cars[0].lane]

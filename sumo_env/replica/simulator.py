@@ -14,11 +14,11 @@ from sumo_env.config import one_of
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex, Road, highway
-from sumo_env.observation import Eyes, Kinematics
+from sumo_env.observation import Kinematics, TableForm
 from sumo_env.replica import sight, tables
 from sumo_env.replica import step as kernels
 from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes, remaining
-from sumo_env.replica.compiled import announced
+from sumo_env.replica.compiled import compile_notice
 from sumo_env.replica.draws import Centres
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.motion import MAX_SPEED
@@ -149,10 +149,10 @@ class Replica:
         others = self._cars[1:]
         return int(((others["number"] < self.start.first_arrival) & ~others["is_ego"]).sum())
 
-    def table(self, eyes: Eyes) -> np.ndarray:
+    def table(self, form: TableForm) -> np.ndarray:
         """The Kinematics observation."""
-        table = np.empty((eyes.rows, len(eyes.features)), np.float32)
-        sight.look(self.seen_lanes, self._cars, eyes, table)
+        table = np.empty((form.rows, len(form.features)), np.float32)
+        sight.observe(self.seen_lanes, self._cars, form, table)
         return table
 
     def warm_up(self, road: Road, vehicles: tuple[VehicleSpec, ...], time: float, frequency: int) -> Centres:
@@ -314,14 +314,14 @@ def _load() -> None:
     """Load all kernels, or compile them, by a call of each that drives nobody anywhere; once in a process."""
     lanes, rules = tables.lanes_of(highway(), False).table, Rules(False, False, 0, 0.1)
     cars, frames = np.zeros(1, tables.CAR), np.empty((0, len(FRAME), 1))
-    with announced(kernels.policy_step):
+    with compile_notice(kernels.policy_step):
         kernels.warm_up(lanes, cars, rules, 0)
         kernels.staying(lanes, cars)
         kernels.is_free(cars, 0.0, 0.0, 0.0)
         kernels.policy_step(lanes, rules, no_episodes(1), 0, frames)
         kernels.met(frames, 0, 0.0, 0.0)
         sight.ego_place(lanes, cars)
-        sight.look(lanes, cars, Kinematics({}, 1).eyes, np.empty((5, 5), np.float32))
+        sight.observe(lanes, cars, Kinematics({}, 1).form, np.empty((5, 5), np.float32))
 
 
 def _record(scene: Scene) -> CrashRecord:

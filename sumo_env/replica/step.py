@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.compiled import compiled, inlined
 from sumo_env.replica.contacts import collide, ego_ttc, trace_ttc
 from sumo_env.replica.driving import drive, follow_road, free_roads
 from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
@@ -37,13 +37,13 @@ class Rules(NamedTuple):
     fastest: float = MAX_SPEED
 
 
-@borrowing
+@inlined
 def hold(ego: Any, acceleration: float, steering: float) -> None:
     """``ContinuousAction.act``: what the ego does from now on; to the others it is a car that wants to stand."""
     ego.acceleration, ego.steering, ego.target_speed = acceleration, steering, 0.0
 
 
-@borrowing
+@inlined
 def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     """``Road.act``: all drivers decide in turn, so that the decisions of one are seen by those after it."""
     free_roads(lanes, cars, places)
@@ -59,7 +59,7 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     steer(lanes, cars, places, rules)
 
 
-@borrowing
+@inlined
 def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int, before_ego: int = 0) -> None:
     """``Road.step``.
 
@@ -90,7 +90,7 @@ def staying(lanes: Any, cars: Any) -> Any:
     return stays
 
 
-@borrowing
+@inlined
 def is_free(cars: Any, x: float, y: float, distance: float) -> bool:
     """Is no centre of a car nearer to (x, y) [m] than a distance [m]?"""
     for i in range(len(cars)):  # noqa: SIM110 (numba compiles no generators)

@@ -23,8 +23,8 @@ from sumo_env.contacts.measures import NEAR_MISS_TTC
 from sumo_env.interface import actions_of, seeds_of
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, seeded, tables
-from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SIDES, SPEEDS, Law, Start
-from sumo_env.replica.compiled import announced
+from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SIDES, SPEEDS, EnvParams, Start
+from sumo_env.replica.compiled import compile_notice
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import steered
 from sumo_env.tasks import TASKS, VARIANTS
@@ -58,7 +58,7 @@ def make(
 def is_compiled(env: ReplicaEnv) -> bool:
     """Whether the kernels compute all that this environment gives; rewards of a task of one's own they do not know."""
     is_known = any(env.task is task for task in (*TASKS.values(), *VARIANTS.values()))
-    return is_known and env.render_mode is None and env.eyes is not None and env.eyes.is_sorted
+    return is_known and env.render_mode is None and env.form is not None and env.form.is_sorted
 
 
 class ReplicaVectorEnv(VectorEnv):
@@ -93,11 +93,11 @@ class ReplicaVectorEnv(VectorEnv):
         # episodes drawn ahead, with the state of the generator before
         self._ahead: dict[int, tuple[Start, Any]] = {}
         self._over = np.zeros(num_envs, np.bool_)
-        self._law: Any = None  # a `Law`, from the first reset on
+        self._params: Any = None  # a `EnvParams`, from the first reset on
         self._draws: seeded.Draws | None = None  # where compiled code draws the episodes
         self._controls = np.zeros((num_envs, 2))  # accelerations and angles of egos that are steered
-        assert single.eyes is not None
-        self._batch = kernels.no_episodes(num_envs, single.eyes.rows, len(single.eyes.features))
+        assert single.form is not None
+        self._batch = kernels.no_episodes(num_envs, single.form.rows, len(single.form.features))
         self._pool = ThreadPoolExecutor(threads, "sumo_env") if threads > 1 else None
 
     # -- gymnasium -----------------------------------------------------------------------------------------
@@ -125,10 +125,10 @@ class ReplicaVectorEnv(VectorEnv):
         seeds = seeds_of(self, seed)
         for row in np.flatnonzero(mask).tolist():
             self._begin(row, self._reset_single(row, seeds[row], options))
-        first, self._law = self._law is None, self._made_law()
+        first, self._params = self._params is None, self._made_params()
         if first:
-            with announced(kernels.drive):
-                kernels.drive(self._law, self._batch, np.zeros(0, np.int64), self._controls, 0, 0)
+            with compile_notice(kernels.drive):
+                kernels.drive(self._params, self._batch, np.zeros(0, np.int64), self._controls, 0, 0)
                 self._begin_next(np.zeros(0, np.int64))
         self._over &= ~mask
         self._drive(np.where(mask, AFRESH, NOTHING))
@@ -144,7 +144,7 @@ class ReplicaVectorEnv(VectorEnv):
         Raises:
             ValueError: not one action of the action space for each environment.
         """
-        if self._law is None:
+        if self._params is None:
             raise gym.error.ResetNeeded("call reset() before step()")
         actions, numbers = self._read(actions_of(self, actions))
         if self.autoreset_mode is AutoresetMode.DISABLED:
@@ -216,21 +216,21 @@ class ReplicaVectorEnv(VectorEnv):
         self._single._np_random = self._generators[row]
         return self._single.begin()
 
-    def _made_law(self) -> Law:
+    def _made_params(self) -> EnvParams:
         single, replica, names = self._single, self._single.replica, self._single.actions.values()
-        assert single.eyes is not None
+        assert single.form is not None
         kind, rules = single._action_type, replica.start.rules
         if not (single.is_stock or single._is_linear):
             first = nearest_index(replica.start.cars["speed"].item(0), single.target_speeds)
             self._draws = seeded.draws_of(single.task, single._law, replica.lanes, first)
         if isinstance(kind, ContinuousAction):
             rules = steered(rules, kind.speed_range, kind.dynamical)
-        return Law(
+        return EnvParams(
             replica.lanes.table,
             replica.seen_lanes,
             rules,
-            single.eyes,
-            kernels.pay_of(single.task, single.config),
+            single.form,
+            kernels.reward_weights(single.task, single.config),
             np.array(single.target_speeds),
             np.array([SPEEDS.get(name, 0) for name in names], np.int64),
             np.array([SIDES.get(name, 0) for name in names], np.int64),
@@ -255,12 +255,12 @@ class ReplicaVectorEnv(VectorEnv):
 
     def _drive(self, actions: NDArray[np.int64]) -> None:
         """`batch.drive` by all threads; meanwhile seeded episodes are drawn ahead."""
-        law, table = self._law, self._batch
+        params, table = self._params, self._batch
         if self._pool is None:
-            kernels.drive(law, table, actions, self._controls, 0, self.num_envs)
+            kernels.drive(params, table, actions, self._controls, 0, self.num_envs)
         else:
             ends = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
-            of_all = law, table, actions, self._controls
+            of_all = params, table, actions, self._controls
             parts = [self._pool.submit(kernels.drive, *of_all, *part) for part in pairwise(ends)]
             if not self._single.is_stock and self._draws is None:
                 while not all(part.running() or part.done() for part in parts):
@@ -275,7 +275,7 @@ class ReplicaVectorEnv(VectorEnv):
     def _draw_arrival(self, row: int) -> None:
         """What `ReplicaEnv.step` draws after a step at highway-env's intersection."""
         episode = self._batch.episodes[row]
-        centres = kernels.remaining(self._batch, row, self._law.lanes)
+        centres = kernels.remaining(self._batch, row, self._params.lanes)
         config = self._single.config
         road = self._single.task.road(config)
         spawn = draws.arrival(config, road, self._generators[row], centres, int(episode["steps"]))

@@ -40,23 +40,23 @@ class Car(Generic[Driven]):
         """Begin a policy step."""
         self.is_commanded = command is not None
         self.ego.obey(command or BY_SUMO)
-        self.around.take_stock()
+        self.around.list_vehicles()
         self._least_ttc, self.distance = inf, 0.0
 
-    def look(self, time: float, dt: float, reported: Sequence[tuple[str, str]]) -> CrashRecord | None:
+    def update(self, time: float, dt: float, reported: Sequence[tuple[str, str]]) -> CrashRecord | None:
         """Look around after the sub-step of `dt` [s] that ended at `time` [s]; its first crash if it was in this one.
 
         reported: pairs of vehicles that SUMO reports in collision.
         """
         around, detector, name, ego = self.around, self._detector, self.name, self.ego
         seen, before = around.ego, around.near
-        around.look(time, ego.speed)
+        around.update(time, ego.speed)
         partners: Collection[str] = ()  # whom SUMO reports in collision with this car
         if reported:
             partners = {one if other == name else other for one, other in reported if name in (one, other)}
         ids, found = around.within_reach(seen, before, dt, partners), None
         if ids or reported or detector.reported:
-            crash = detector.look(
+            crash = detector.detect(
                 time,
                 dt,
                 (name, *ids),

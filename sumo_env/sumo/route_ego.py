@@ -56,7 +56,7 @@ class RouteEgo:
         self._reaches: tuple[float, float] = (0.0, 0.0)  # how far the lanes beside lead, from their start [m]
         self.ahead: tuple[str, ...] = ()
         self._index: LaneIndex = next(iter(network.lanes))
-        self.look()
+        self.read_lane()
         self._left = self._way = (
             self._remaining()
         )  # [m] at the start of this policy step, and at the departure
@@ -68,7 +68,7 @@ class RouteEgo:
         if self.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
-        self.look()
+        self.read_lane()
         self._target_speed, self._target_lane, self._acceleration = command
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index
@@ -115,7 +115,7 @@ class RouteEgo:
         if self._measures_energy:
             self._fuel += session.vehicle.getFuelConsumption(self._name) * dt
             self._electricity += session.vehicle.getElectricityConsumption(self._name) * dt
-        self.look()
+        self.read_lane()
         if self._signal and self._lane != before and not before.startswith(":"):
             signal, connection, distance = self._signal
             edge, reached = before.rpartition("_")[0], distance <= self.speed * dt + REACHED
@@ -127,7 +127,7 @@ class RouteEgo:
             self.ended = "missed turn"
         return self.speed * dt
 
-    def look(self) -> None:
+    def read_lane(self) -> None:
         """Read where the ego is; what belongs to a lane is read when it comes there."""
         session = self._session
         lane = session.vehicle.getLaneID(self._name)

@@ -37,21 +37,21 @@ class Surroundings:
         self._spot: Spot | None = None  # the ego's, once asked for
         self.ego: State
         self.near: dict[str, State]  # whose front is within `TTC_RADIUS` of the ego's, in alphabetical order
-        self.take_stock()
-        self.look(0.0, speed)
+        self.list_vehicles()
+        self.update(0.0, speed)
 
-    def take_stock(self) -> None:
+    def list_vehicles(self) -> None:
         """Read which vehicles are on the road, and look at all of them next."""
         self._others = [name for name in self._session.vehicles() if name != self._name]
         self._due: dict[str, float] = {}  # distant vehicle -> time before which it cannot be near [s]
 
-    def look(self, time: float, speed: float) -> None:
+    def update(self, time: float, speed: float) -> None:
         """Look around after the sub-step that ended at `time` [s] with the ego's `speed` [m/s].
 
         A distant vehicle is skipped until it may have come near (conservative advancement).
         """
         if self._session.changed:
-            self.take_stock()
+            self.list_vehicles()
         others, due = self._others, self._due
         if due:
             others = [name for name in others if due.get(name, time) <= time]

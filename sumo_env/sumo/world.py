@@ -216,7 +216,7 @@ class SumoSimulator:
             for car in driving:
                 if car.name in self._cars and car.ego.ended not in GONE:
                     car.distance += car.ego.settle(self._dt)
-                    if (crash := car.look(self._time, self._dt, reported)) is not None:
+                    if (crash := car.update(self._time, self._dt, reported)) is not None:
                         self._hit(car, crash)
             self._note(reported)
             if trace:

@@ -27,7 +27,7 @@ from sumo_env.traffic.sumo_files import configuration, is_output, paths, plain_p
 Route = Sequence[str]
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
 STEP = "0.1"  # [s]
-BESIDE = 50.0  # [m] to the sides that the observation shows: a lane is a sixteenth of it
+SIDE_RANGE = 50.0  # [m] to the sides that the observation shows: a lane is a sixteenth of it
 
 
 class NetworkTask(Task):
@@ -304,7 +304,7 @@ def _place(ego: EgoState) -> Place:
 def _ranges(limit: float) -> dict[str, list[float]]:
     """Ranges of features where roads are driven at up to `limit` [m/s]: five seconds ahead, and oncoming vehicles."""
     sight = max(5.0 * limit, 50.0)
-    ranges = {"x": [-sight, sight], "y": [-BESIDE, BESIDE]}
+    ranges = {"x": [-sight, sight], "y": [-SIDE_RANGE, SIDE_RANGE]}
     ranges |= {name: [-2.0 * limit, 2.0 * limit] for name in ("vx", "vy")}
     ranges |= {name: [0.0, sight] for name in (*LANE_ENDS, "light_distance", *GAPS)}
     ranges["foe_gap"] = [0.0, 2.0 * sight]  # the ego needs time to cross

@@ -56,7 +56,7 @@ FAR = state(100.0, 0.0)
 def look(detector: CrashDetector, before, after, reported=(), time: float = 2.0) -> CrashRecord | None:
     """One sub-step of 0.1 s in which the ego drives from x = 0 to x = 2 m."""
     ego = [state(0.0, 0.0, 0.0, 20.0), state(2.0, 0.0, 0.0, 20.0)]
-    return detector.look(time, 0.1, IDS, [ego[0], *before], [ego[1], *after], reported)
+    return detector.detect(time, 0.1, IDS, [ego[0], *before], [ego[1], *after], reported)
 
 
 def test_the_geometry_alone_makes_a_crash_of_the_moment_of_the_touch() -> None:

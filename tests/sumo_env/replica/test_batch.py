@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import SyncVectorEnv
 
 from sumo_env.config import Config, ConfigError
-from sumo_env.replica.batch import pay_of
+from sumo_env.replica.batch import reward_weights
 from sumo_env.replica.env import OBSERVATIONS, ReplicaEnv
 from sumo_env.replica.vector import ReplicaVectorEnv, make
 from sumo_env.tasks import TASKS
@@ -182,6 +182,6 @@ def test_a_task_of_ones_own_is_paid_its_own_reward_or_refused() -> None:
     envs.reset(seed=0)
     assert envs.step(np.array([1, 1]))[1].tolist() == [-3.0, -3.0]
     with pytest.raises(ConfigError, match=r"no reward of the task 'slalom'"):
-        pay_of(Slalom(), envs.envs[0].config)
+        reward_weights(Slalom(), envs.envs[0].config)
     with pytest.raises(ConfigError, match=r"task 'slalom' are not known"):
         ReplicaEnv(Slalom()).reset(seed=0)

@@ -20,6 +20,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 
 from contextlib import closing
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from typing import Annotated
 
 import pandas as pd
@@ -68,7 +69,7 @@ def chosen(directory: Path, part: str) -> str:
     agents = store.agents()
     fitting = [name for name in agents if part in name]
     if not fitting:
-        names = listing(sorted(agents), 5)
+        names = listing(sorted(agents, key=lambda name: -SequenceMatcher(None, name, part).ratio()), 5)
         raise UserError(f"no agent in {directory} has {part!r} in its name; there are: {names}")
     fitting = [name for name in fitting if store.weights(name)] or fitting
     return max(fitting, key=lambda name: str(agents[name]["timing"]["finished"]))
@@ -125,7 +126,7 @@ def watch(options: Options) -> int:
             stored = dict(at.iloc[0]) if len(at) else {"traffic": traffic, "scenario": scenario}
             row = play_again(Case(store, cell, record, stored, options.code), env, film.frame)
         films.append((f"{title}: {ending(row)}", film.pictures))
-        rates.append(f"{title} {driven['crashed'].mean():.0%} of {len(driven)}")
+        rates.append(f"{title} in {driven['crashed'].mean():.0%} of {len(driven)}")
     where = "at risk 1" if other is not None else "by traffic"
     caption = [f"Crashes in test scenarios {where}: {', '.join(rates)}.", f"Scenario {scenario}: {rule}."]
     file = options.out or options.directory / f"{name.rpartition('-')[0]}-{scenario}.gif"

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType as Kind
 from sumo_env.config import Config
-from sumo_env.hints import missing, never_called, page
+from sumo_env.hints import INSTEAD, missing, never_called, page
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.observation import Situation
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
-from sumo_env.views import ActionType, Observed, RoadView, Vehicle, road_view
+from sumo_env.views import ActionType, Observed, RoadView, Vehicle, only_read, road_view
 
 
 class _ClassOrInstance:
@@ -71,10 +71,8 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         theirs = {name: part for part in reversed(cls.__mro__) for name in vars(part)}
         for name in sorted(never_called() & theirs.keys()):
             if theirs[name] is not ReadAsHighwayEnv:
-                raise TypeError(
-                    f"{theirs[name].__name__}.{name} would never be called; "
-                    f"{page('from-highway-env', 'subclasses')} says what to use"
-                )
+                told = f"{theirs[name].__name__}.{name} would never be called{INSTEAD.get(name, '')}"
+                raise TypeError(f"{told} ({page('from-highway-env', 'subclasses')})")
 
     if not TYPE_CHECKING:
 
@@ -145,6 +143,10 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     def vehicle(self) -> Vehicle:
         """The ego: position, speed, heading, lane_index, crashed, ..."""
         return self.road.vehicles[0]
+
+    @vehicle.setter
+    def vehicle(self, value: object) -> NoReturn:
+        raise only_read("vehicle")
 
     @property
     def action_type(self) -> Any:

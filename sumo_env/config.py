@@ -201,7 +201,9 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
             elif key in ignored:
                 ignore(f"the task {task!r}", str(key), _meant(str(key), known))
             elif key not in WITHOUT_EFFECT:
-                raise ConfigError(f"unknown config key {key!r} for task {task!r}: {_meant(str(key), known)}")
+                parts = [part for part, types in TYPES.items() if any(key in each for each in types)]
+                meant = f"it belongs in config[{parts[0]!r}]" if parts else _meant(str(key), known)
+                raise ConfigError(f"unknown config key {key!r} for task {task!r}: {meant}")
             config[key] = value
     frequency, given = "simulation_frequency", (overrides[-1] if overrides else None) or {}
     if task in highway_env()["ignored"] and frequency not in given and config[frequency] == known[frequency]:

@@ -41,14 +41,20 @@ REASONS: dict[str, str] = {
     ),
     "to_finite_mdp": "the observation 'TimeToCollision' has these predictions",
     "done": "step() returns whether the episode is over",
+    "has_arrived": "info['arrived'] says it of the ego",
     "np_random": "env.unwrapped.np_random is the generator",
     "env": "read env.unwrapped",
     "vehicle_class": _COPY,
 }
+# What to write in place of a method that nothing calls here.
+INSTEAD = {
+    "_reset": ": override reset(), and begin it with super().reset()",
+    **dict.fromkeys(("_make_road", "_create_road", "_make_vehicles", "_create_vehicles"), ": write a task"),
+}
 OTHERWISE = {
     "env": "scripts can read what the page lists",
-    "vehicle": "the simulator drives the vehicles, which can only be read",
-    "road": "the simulator drives the vehicles, which can only be read",
+    "vehicle": "the simulator drives the vehicles, and the page lists what can be read of them",
+    "road": "the simulator drives the vehicles, and the page lists what can be read of them",
     "network": _ROAD,
     "lane": "of a lane here, the geometry, width, speed limit and priority can be read",
     "observation_type": "env.unwrapped.config['observation'] has its settings",

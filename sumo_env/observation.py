@@ -91,6 +91,9 @@ class Kinematics:
             }
         )
         self.absolute, self.observe_intentions = bool(given["absolute"]), bool(given["observe_intentions"])
+        for key in ("vehicles_count", "order", "normalize", "clip", "see_behind"):
+            setattr(self, key, given[key])  # as scripts read them of highway-env's type
+        self.features_range = self.ranges
         columns = len(self.features)
         self.space = spaces.Box(-np.inf, np.inf, (rows, columns), np.float32)
         self._own_axes = on_its_way and not self.absolute

@@ -24,7 +24,8 @@ from sumo_env.scene import Floats, Scene
 from sumo_env.traffic.scenario import VehicleSpec
 
 
-def _only_read(name: str) -> AttributeError:
+def only_read(name: str) -> AttributeError:
+    """The error about writing what a simulator decides."""
     return AttributeError(
         f"{name!r} can only be read: the simulator drives the vehicles. To change traffic use a task or drivers of "
         f"your own, or reset(options={{'scenario': ...}}) ({page('own-parts')})"
@@ -35,7 +36,7 @@ class _Vehicles(tuple["Vehicle", ...]):
     """All vehicles; in highway-env, scripts append to this list."""
 
     def __getattr__(self, name: str) -> NoReturn:
-        raise _only_read("vehicles") if hasattr(list, name) else AttributeError(name)
+        raise only_read("vehicles") if hasattr(list, name) else AttributeError(name)
 
 
 class _View:
@@ -48,7 +49,7 @@ class _View:
         vars(self).update(values)
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
-        raise _only_read(name)
+        raise only_read(name)
 
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("_") and hasattr(self._of, name):

@@ -107,7 +107,7 @@ def test_two_agents_are_filmed_in_a_risky_scenario_that_one_survives(tmp_path: P
     assert watch.watch(watch.Options(published, agent="u-turn-3-treatment", out=film)) == 0
     said = capsys.readouterr().out
     assert "treatment: no crash" in said and "near miss that the agent survives" in said
-    assert re.search(r"at risk 1: control \d+% of 100, treatment \d+% of 100", said)
+    assert re.search(r"at risk 1: control in \d+% of 100, treatment in \d+% of 100", said)
     assert film.stat().st_size > 1000
     with pytest.raises(UserError, match=r"ends in \.gif or \.mp4"):
         watch.watch(watch.Options(published, agent="u-turn-3-treatment", out=tmp_path / "film.avi"))

@@ -47,6 +47,11 @@ def test_a_key_that_highway_env_ignores_is_ignored_and_said_once(id: str) -> Non
     assert np.array_equal(env.reset(seed=1)[0], plain.reset(seed=1)[0])
 
 
+def test_a_key_of_the_observation_at_the_top_is_told_where_it_belongs() -> None:
+    with pytest.raises(ConfigError, match=r"it belongs in config\['observation'\]"):
+        gym.make("sumo/highway-v0", config={"absolute": True})
+
+
 def test_what_the_replica_ignores_is_what_highway_env_ignores() -> None:
     """But for risk, which nobody wants to be ignored."""
     ignore.cache_clear()
@@ -216,6 +221,16 @@ def test_what_would_never_be_called_is_refused_with_its_page() -> None:
     mixin = type("Mixin", (), {"_create_vehicles": lambda self: None})
     with pytest.raises(TypeError, match=r"Mixin\._create_vehicles"):
         type("Mine", (mixin, HighwayEnv), {})
+
+
+@pytest.mark.parametrize("code", ["from sumo_env import utils", "import sumo_env.vehicle.behavior"])
+def test_modules_that_stay_in_highway_env_are_missing_with_a_reason(code: str) -> None:
+    with pytest.raises(
+        ModuleNotFoundError, match=r"keep highway-env installed .*from-highway-env\.md#what-is"
+    ):
+        exec(code)
+    with pytest.raises(ModuleNotFoundError, match=r"named 'sumo_env\.nothing'"):
+        exec("import sumo_env.nothing")
 
 
 # -- what is read --------------------------------------------------------------------------------------------

@@ -311,6 +311,19 @@ def test_a_wrapper_looks_for_the_vehicle_ahead() -> None:
     assert len(set(info["lengths"])) == 1 and len(info["lengths"]) == 4
 
 
+def test_an_attack_normalises_with_what_the_observation_type_has() -> None:
+    sumo_env.register_highway_envs()
+    env: Any = gym.make("sumo/highway-v0", config=FEW).unwrapped
+    observation, _ = env.reset(seed=0)
+    kind = env.observation_type
+    low, high = kind.features_range["x"]
+    x = low + (observation[0, kind.features.index("x")] + 1) * (high - low) / 2
+    assert kind.normalize and kind.clip and kind.vehicles_count == len(observation)
+    assert x == pytest.approx(min(env.vehicle.position[0], high), abs=1e-3)
+    with pytest.raises(AttributeError, match="'vehicle' can only be read"):
+        env.vehicle = env.road.vehicles[1]
+
+
 def test_pictures_are_observed() -> None:
     """In place of ``GrayscaleObservation``."""
     config = {**FEW, "screen_width": 128, "screen_height": 64}

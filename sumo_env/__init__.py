@@ -9,7 +9,6 @@ has, such as ``replica/u-turn-v1`` (extra ``[replica]``).
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,19 +45,6 @@ TUPLE_IDS = tuple(f"replica/intersection-multi-agent-v{version}" for version in 
 
 def register_highway_envs() -> None:
     """As in earlier versions of highway_env. The import has registered the ids."""
-
-
-class _NotHere:
-    """Finds no module, and says so of highway-env's, such as ``sumo_env.vehicle.behavior``."""
-
-    @staticmethod
-    def find_spec(name: str, path: Any = None, target: Any = None) -> None:
-        if name in ("sumo_env.vehicle", "sumo_env.road", "sumo_env.utils"):
-            where = import_module("sumo_env.hints").page("from-highway-env", "what-is-not-here")
-            raise ModuleNotFoundError(f"there is no {name}: keep highway-env installed for its own ({where})")
-
-
-sys.meta_path.append(_NotHere)
 
 
 def task_of(id: str) -> str:

@@ -223,16 +223,6 @@ def test_what_would_never_be_called_is_refused_with_its_page() -> None:
         type("Mine", (mixin, HighwayEnv), {})
 
 
-@pytest.mark.parametrize("code", ["from sumo_env import utils", "import sumo_env.vehicle.behavior"])
-def test_modules_that_stay_in_highway_env_are_missing_with_a_reason(code: str) -> None:
-    with pytest.raises(
-        ModuleNotFoundError, match=r"keep highway-env installed .*from-highway-env\.md#what-is"
-    ):
-        exec(code)
-    with pytest.raises(ModuleNotFoundError, match=r"named 'sumo_env\.nothing'"):
-        exec("import sumo_env.nothing")
-
-
 # -- what is read --------------------------------------------------------------------------------------------
 
 VERSIONS = {"u-turn": 1, "roundabout": 1}  # with connected lanes

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -15,14 +16,16 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from sumo_env.actions import ActionType, action_type
+from sumo_env.actions import ActionType, ContinuousAction, action_type
 from sumo_env.config import MEASURED, Config, ConfigError
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
+from sumo_env.hints import page
 from sumo_env.neighbours import LeadersFollowers
 from sumo_env.observation import Kinematics, TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
 from sumo_env.scene import Place, Scene
+from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.tasks.network import NetworkTask
 
@@ -48,6 +51,8 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
             "config key 'drivers' can only be 'highway-env' here: measured drivers are for sumo/*"
         )
     kind = action_type(config["action"], task.target_speeds, steers)
+    if isinstance(kind, ContinuousAction) and kind.lateral and not steers and task.name in TASKS:
+        tell_of_lanes(config["action"]["type"])
     limits = task.reward_limits(config)
     if limits and config["normalize_reward"] and limits[0] == limits[1]:
         raise ConfigError(
@@ -159,3 +164,12 @@ def actions_of(envs: VectorEnv, actions: Any) -> NDArray[Any]:
     if not known:
         raise ValueError(f"actions must be {envs.num_envs} of {envs.single_action_space}, not {actions}")
     return actions
+
+
+@cache
+def tell_of_lanes(name: str) -> None:
+    """Warn, once, that an action that steers in highway-env changes lanes on SUMO."""
+    gym.logger.warn(
+        f"{name!r} on sumo/*: its lateral number changes lanes (left below -1/3, right above 1/3). In highway-env this "
+        f"number steers, and so it does on replica/* ({page('control')})"
+    )

@@ -17,6 +17,7 @@ from sumo_env.config import ConfigError, ignore
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv, HighwayEnvFast, IntersectionEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
+from sumo_env.interface import tell_of_lanes
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
 from tests.processes import python
@@ -50,6 +51,21 @@ def test_a_key_that_highway_env_ignores_is_ignored_and_said_once(id: str) -> Non
 def test_a_key_of_the_observation_at_the_top_is_told_where_it_belongs() -> None:
     with pytest.raises(ConfigError, match=r"it belongs in config\['observation'\]"):
         gym.make("sumo/highway-v0", config={"absolute": True})
+
+
+def test_an_action_that_steers_in_highway_env_says_once_that_it_changes_lanes() -> None:
+    tell_of_lanes.cache_clear()
+    steering = {"action": {"type": "ContinuousAction"}}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gym.make("replica/highway-v0", config=steering)
+        gym.make("sumo/highway-v0", config={"action": {"type": "ContinuousAction", "lateral": False}})
+    with pytest.warns(
+        UserWarning, match=r"'ContinuousAction' on sumo/\*.*changes lanes.*control\.md"
+    ) as caught:
+        for _ in range(2):
+            gym.make("sumo/highway-v0", config=steering)
+    assert len(caught) == 1
 
 
 def test_what_the_replica_ignores_is_what_highway_env_ignores() -> None:

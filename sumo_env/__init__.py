@@ -91,7 +91,8 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(_LATER[name]), name)
     if name == "envs":  # as highway_env.envs
         return import_module("sumo_env.envs")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
+    where = "; classes to derive from are in sumo_env.envs" if name.endswith("Env") else ""
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{where}", name=name)
 
 
 def __dir__() -> list[str]:

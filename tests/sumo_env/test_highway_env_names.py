@@ -227,6 +227,11 @@ def test_spaces_and_info_can_be_overridden() -> None:
     assert info["lane"] == env.step(1)[4]["lane"] == env.vehicle.lane_index[2]
 
 
+def test_a_class_that_is_asked_for_in_the_wrong_place_is_told_the_right_one() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'HighwayEnv'; .* are in sumo_env\.envs"):
+        _ = sumo_env.HighwayEnv
+
+
 def test_what_would_never_be_called_is_refused_with_its_page() -> None:
     theirs = set(hints.highway_env()["methods"])
     assert {"_make_road", "_simulate", "to_finite_mdp", "PERCEPTION_DISTANCE"} <= hints.never_called()

@@ -25,11 +25,16 @@ NONE = "\N{EN DASH}"  # where there is no number
 BACKENDS = {"sumo": "SUMO", "replica": "highway-env's physics (replica)", "highway-env": "highway-env"}
 TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}
 ARM_NAMES = {"treatment": "treated"}  # as the pages call the agents of an arm
-DRIVERS = {  # of the fourth plan: one agent, or two together
-    **{"control": "one control agent", "treatment": "one treated agent", "mixed": "one mixed agent"},
-    **{"two-control": "two control agents", "two-treatment": "two treated agents"},
-    **{"two-mixed": "two mixed agents", "half": "control and treated, at equal weights"},
-    **{"belief": "control and treated, weighed by the belief", "told": "the same, weighed by the true dose"},
+WHO_DRIVES = {  # by the fourth plan: one agent, or two together
+    "control": "one control agent",
+    "treatment": "one treated agent",
+    "mixed": "one mixed agent",
+    "two-control": "two control agents",
+    "two-treatment": "two treated agents",
+    "two-mixed": "two mixed agents",
+    "half": "control and treated, at equal weights",
+    "belief": "control and treated, weighed by the belief",
+    "told": "the same, weighed by the true dose",
     "shuffled": "the same, weighed by another episode's belief",
 }
 UNITS = {"mean_speed": " m/s", "crash_free_time": " s"}
@@ -169,24 +174,22 @@ def price(analysis: Analysis, backend: str) -> pd.DataFrame:
     return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "mean of the tasks")), ["task"], cells)
 
 
-def drivers(analysis: Analysis, backend: str) -> pd.DataFrame:
+def pairs(analysis: Analysis, backend: str) -> pd.DataFrame:
     """Crash rates and speeds of one agent and of two together, every task weighted alike; empty without pairs."""
-    rows = chosen(analysis.policies, backend=backend, arm=list(DRIVERS), traffic=list(TRAFFICS))
+    rows = chosen(analysis.policies, backend=backend, arm=list(WHO_DRIVES), traffic=list(TRAFFICS))
     if not {*rows["arm"]} & {*PAIRS}:
         return pd.DataFrame()
-    names = ("crashed", "mean_speed")
-    by_task = rows.groupby(["arm", "traffic", "task"])[[*names]].mean().groupby(["arm", "traffic"]).mean()
-    found = by_task.reindex(list(DRIVERS), level="arm").reset_index()
-    lines = [
-        {"who drives": DRIVERS[arm]}
-        | {
-            f"{title} in {traffic} traffic": number(own.set_index("traffic")[name].get(traffic), name)
-            for name, title in zip(names, ("crashes", "m/s"), strict=True)
-            for traffic in ("risky", "regular")
+    by_task = rows.groupby(["arm", "traffic", "task"])[["crashed", "mean_speed"]].mean()
+    means_of = by_task.groupby(["arm", "traffic"]).mean().sort_index(level="traffic", ascending=False)
+    found = means_of.reindex(list(WHO_DRIVES), level="arm").dropna().reset_index()
+
+    def cells(row: Mapping[str, Any]) -> dict[str, str]:
+        return {
+            f"{title} in {row['traffic']} traffic": number(row[outcome], outcome)
+            for outcome, title in (("crashed", "crashes"), ("mean_speed", "m/s"))
         }
-        for arm, own in found.groupby("arm", sort=False)
-    ]
-    return pd.DataFrame(lines)
+
+    return wide(found.assign(**{"who drives": found["arm"].map(WHO_DRIVES)}), ["who drives"], cells)
 
 
 def belief(analysis: Analysis, backend: str) -> pd.DataFrame:
@@ -196,7 +199,7 @@ def belief(analysis: Analysis, backend: str) -> pd.DataFrame:
         return rows
     rows = pd.concat([chosen(analysis.price, backend=backend, arm="belief"), rows], ignore_index=True)
     rows = rows[rows["scope"].isin([*TASK_ORDER, ALL_TASKS])]
-    rows = rows.assign(others=rows["against"].str.replace("one-", "").map(DRIVERS))
+    rows = rows.assign(others=rows["against"].str.replace("one-", "").map(WHO_DRIVES))
 
     def cells(row: Mapping[str, Any]) -> dict[str, str]:
         if row["scope"] != ALL_TASKS:
@@ -327,7 +330,7 @@ TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulat
     "tasks": first_page,
     "careful": careful,
     "price": price,
-    "drivers": drivers,
+    "pairs": pairs,
     "belief": belief,
     "crashes": partial(by_setting, outcome="crashed"),
     "returns": partial(by_setting, outcome="return"),

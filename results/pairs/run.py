@@ -39,10 +39,8 @@ TASKS = {  # in the order of the plan's amendment
 }
 MORE = "-more"  # exploratory arms of a setting, after the plan's questions in all settings
 SETTINGS = {**TASKS, **{f"{name}{MORE}": task for name, task in TASKS.items()}}
-CELLS = (
-    121,
-    10,
-)  # of a setting: 30 agents, 85 tests of pairs, 6 drivers of fixed rules; and of its exploratory arms
+# Of a setting: 30 agents, 85 tests of pairs, 6 drivers of fixed rules; and of its exploratory arms.
+CELLS = 121, 10
 TABLES, WEIGHTS = ("episodes.parquet", "gates.parquet"), "weights.npz"
 
 _found = importlib.util.spec_from_file_location("saving", HERE.parent / "second-rest" / "run.py")
@@ -178,9 +176,7 @@ def main() -> None:
     if not (code / ".venv/bin/python").samefile(sys.executable):
         parser.error(f"it needs {code}/.venv/bin/python")
     if options.pack:
-        complete = [name for name in options.settings if len(saving.saved(name)) == number(name)]
-        print("left out, not complete:", *sorted(set(options.settings) - set(complete)), flush=True)
-        pack(code, complete, options.pack)
+        pack(code, saving.complete(options.settings, number), options.pack)
         return
     if not options.work:
         parser.error("--work is needed")

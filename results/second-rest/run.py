@@ -27,7 +27,7 @@ import sys
 import tarfile
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -159,6 +159,14 @@ def pack(code: Path, settings: Iterable[str], out: Path) -> None:
 def saved(setting: str) -> set[str]:
     """Names of the saved cells of a setting."""
     return {path.name.removesuffix(CELL) for path in (HERE / setting).glob(f"*{CELL}")}
+
+
+def complete(settings: Iterable[str], cells: Callable[[str], int]) -> list[str]:
+    """The settings of which all cells are saved; says which are left out."""
+    there = {setting: len(saved(setting)) == cells(setting) for setting in settings}
+    if lacking := [setting for setting, whole in there.items() if not whole]:
+        print("left out, because not complete:", *lacking, flush=True)
+    return [setting for setting, whole in there.items() if whole]
 
 
 def finished(setting: str, out: Path) -> set[str]:
@@ -328,9 +336,7 @@ def main() -> None:
     if options.pack:
         if not (options.code / ".venv/bin/python").samefile(sys.executable):
             parser.error(f"--pack needs {options.code}/.venv/bin/python")
-        complete = [setting for setting in options.settings if len(saved(setting)) == CELLS]
-        print("left out, not complete:", *sorted(set(options.settings) - set(complete)), flush=True)
-        pack(options.code.resolve(), complete, options.pack)
+        pack(options.code.resolve(), complete(options.settings, lambda _: CELLS), options.pack)
         return
     if not options.work:
         parser.error("--work is needed")

@@ -2,7 +2,7 @@
 
 python tests/golden/regenerate.py                     # everything, half a minute
 python tests/golden/regenerate.py outcomes            # some of: scenes outcomes
-python tests/golden/regenerate.py numbers             # the published numbers, when a correction was compile_notice
+python tests/golden/regenerate.py numbers             # the published numbers, when a correction was announced
 python tests/golden/regenerate.py names               # names of published cells, when there are more of them
 """
 

@@ -162,7 +162,7 @@ def test_a_report_has_a_row_for_everybody_who_drives(tmp_path: Path) -> None:
     asked: dict[str, Any] = {"seeds": 4, "pairs": True, "preset": "pairs"}
     synthetic.write(tmp_path, {"u-turn": (1,), "roundabout": (1,)}, tests=12, further=("mixed",), **asked)
     found = analyse(load(tmp_path))
-    rates = tables.drivers(found, "sumo").set_index("who drives")
+    rates = tables.pairs(found, "sumo").set_index("who drives")
     assert len(rates) == len(PAIRS) + 3
     rows = found.policies.query("arm == 'two-treatment' and traffic == 'risky'")
     risky = rates.loc["two treated agents", "crashes in risky traffic"]

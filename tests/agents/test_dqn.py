@@ -74,9 +74,17 @@ def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(interval: i
     assert np.abs(weights(agent.online) - weights(make(config, seed=1).online)).max() > 1e-3
 
 
-def test_updates_by_hand_are_those_of_autograd() -> None:
+@pytest.mark.parametrize(("norm", "interval"), [(10.0, 1), (0.05, 3)])
+def test_updates_by_hand_are_those_of_autograd(norm: float, interval: int) -> None:
     space = gym.spaces.Box(-1, 1, (4, INPUTS), np.float32)
-    config = DQNConfig(batch_size=16, learning_rate_final=5e-4)
+    config = DQNConfig(
+        batch_size=16,
+        updates=25,
+        learning_rate_final=1e-4,
+        max_grad_norm=norm,
+        target_interval=interval,
+        tau=0.1,
+    )
     agents = [
         DQN(dataclasses.replace(config, by_hand=by_hand), space, gym.spaces.Discrete(ACTIONS), 1)
         for by_hand in (False, True)
@@ -93,8 +101,9 @@ def test_updates_by_hand_are_those_of_autograd() -> None:
     before = weights(agents[0].online)
     losses = np.array([[agent.update().item() for agent in agents] for _ in range(20)])
     np.testing.assert_allclose(losses[:, 0], losses[:, 1], rtol=1e-4)
-    plain, by_hand = (weights(agent.online) for agent in agents)
-    np.testing.assert_allclose(plain, by_hand, atol=2e-6)
+    for part in ("online", "target"):
+        plain, by_hand = (weights(getattr(agent, part)) for agent in agents)
+        np.testing.assert_allclose(plain, by_hand, atol=2e-6)
     assert np.abs(plain - before).max() > 1e-3
     values, values_by_hand = (agent.q(pair) for agent in agents)
     np.testing.assert_allclose(values, values_by_hand, atol=1e-5)

@@ -12,6 +12,7 @@ from torch.autograd import gradcheck
 from torch.func import functional_call
 
 from agents.by_hand import Passes
+from agents.dqn import flatten
 from agents.models import NETWORKS, DuelingMLP, EgoAttention, Standardised, network_class
 
 SPACE = gym.spaces.Box(-1, 1, (6, 5), np.float32)
@@ -130,15 +131,16 @@ def test_values_and_gradient_by_hand_are_those_of_autograd(others: int) -> None:
     module = Standardised(EgoAttention(SPACE, ACTIONS), SPACE)
     module.fit(table(5, seed=3, batch=50))
     module = module.double()
+    weights = flatten(module)
     x, gradient = table(others, batch=8).double(), torch.rand(5, ACTIONS, dtype=torch.float64)
     expected = module(x)
     expected[:5].backward(gradient)
-    wanted = [parameter.grad.clone() for parameter in module.parameters() if parameter.grad is not None]
-    for parameter in module.parameters():
-        parameter.grad = torch.full_like(parameter, torch.nan)  # each is written
-    passes = Passes(module)
+    wanted = weights.grad.clone()
+    weights.grad.fill_(torch.nan)  # each is written
+    passes = Passes(module, weights)
     values = passes(x.numpy())
     passes.backward(gradient.numpy())
     torch.testing.assert_close(torch.from_numpy(values), expected.detach(), rtol=0, atol=1e-12)
-    for parameter, grad in zip(module.parameters(), wanted, strict=True):
-        torch.testing.assert_close(parameter.grad, grad, rtol=0, atol=1e-12)
+    torch.testing.assert_close(weights.grad, wanted, rtol=0, atol=1e-12)
+    with pytest.raises(ValueError, match=r"Expected observations \(n, 6, 5\), got \(8, 7, 5\)"):
+        passes(np.zeros((8, 7, 5)))

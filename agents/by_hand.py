@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from agents.dqn import flatten
+from agents.greedy import Greedy
 from agents.kernels import BASE, EGO, OTHERS, PARTS, WIDTH, Pass, approach, backward, descend, forward
 from agents.models import EgoAttention, Standardised
 from agents.replay import Batch
@@ -58,6 +60,18 @@ class ByHand:
         if tau:
             approach(self._target_weights, self._weights, tau)
         return float(np.square(error).mean())
+
+
+class Compiled(Greedy):
+    """A greedy policy whose network is an `EgoAttention` behind standardised inputs."""
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__(network)
+        self._passes = Passes(network, flatten(network))
+
+    def q(self, observation: np.ndarray) -> np.ndarray:
+        """Q of every action, (actions,), for one observation."""
+        return self._passes(observation[None])[0]
 
 
 class Passes:

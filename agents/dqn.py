@@ -189,7 +189,7 @@ class DQN:
 
     def policy(self) -> Greedy:
         """The greedy policy as it is now, on the CPU (a copy)."""
-        return Greedy(unflattened(self.online).cpu())
+        return greedy(self.config)(unflattened(self.online).cpu())
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Everything that the future depends on, as arrays.
@@ -230,6 +230,15 @@ class DQN:
         restore_generator(self._sampling, str(state["sampling"]))
         torch.set_rng_state(torch.from_numpy(state["torch"].copy()))
         self.updates = int(state["updates"])
+
+
+def greedy(config: DQNConfig) -> type[Greedy]:
+    """The kind of policy that such a learner makes."""
+    if not config.by_hand:
+        return Greedy
+    from agents.by_hand import Compiled  # needs numba
+
+    return Compiled
 
 
 def flatten(module: nn.Module) -> Tensor:

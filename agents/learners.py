@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.dqn import DQNConfig
+from agents.dqn import DQNConfig, greedy
 from agents.greedy import Greedy
 from agents.learner import Learner, MakeEnv, Trained
 from agents.models import Standardised, network_class
@@ -30,7 +30,7 @@ class DoubleDQN:
         space: Any = env.observation_space
         actions: Any = env.action_space
         network = network_class(settings.network)(space, int(actions.n))
-        return Greedy.load(path, Standardised(network, space))
+        return greedy(settings).load(path, Standardised(network, space))
 
 
 LEARNERS: dict[str, Learner] = {

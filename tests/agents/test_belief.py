@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,10 @@ from agents.belief import (
     fit,
     sharpened,
 )
+from agents.by_hand import Compiled
 from agents.checkpoint import save_arrays
 from agents.greedy import Greedy
+from agents.models import EgoAttention, Standardised
 from agents.rules.perception import Perception
 from tests.agents.test_rules import road, scene
 from tests.experiments.fake_env import make_env
@@ -177,6 +180,14 @@ class TestWeighed:
         Weighed(Greedy(network), Greedy(Fixed(0.1, 0.2, 0.3)))
         assert network.values.dtype == torch.float32
         assert network.values.tolist() == torch.tensor([0.1, 0.2, 0.3]).half().float().tolist()
+
+    def test_compiled_agents_act_as_others(self) -> None:
+        space = gym.spaces.Box(-1, 1, (4, 5), np.float32)
+        torch.manual_seed(0)
+        networks = [Standardised(EgoAttention(space, 5), space) for _ in range(2)]
+        pair, compiled = (Weighed(*(kind(deepcopy(net)) for net in networks)) for kind in (Greedy, Compiled))
+        for table in np.random.default_rng(0).uniform(0, 1, (50, 4, 6)).astype(np.float32):
+            assert pair.act(table) == compiled.act(table)
 
     def test_a_value_that_is_no_number_is_refused(self) -> None:
         pair = Weighed(Greedy(Fixed(1.0, 0.9)), Greedy(Fixed(float("nan"), 0.9)))

@@ -11,6 +11,7 @@ import torch
 
 import agents
 from agents import pretrained
+from agents.by_hand import Compiled
 from agents.checkpoint import CheckpointError
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
@@ -29,11 +30,13 @@ def network(seed: int = 0, width: int = 64) -> Standardised:
     return made
 
 
-def test_a_stored_policy_comes_back_with_its_statistics(tmp_path: Path) -> None:
-    policy = Greedy(network())
+@pytest.mark.parametrize("kind", [Greedy, Compiled])
+def test_a_stored_policy_comes_back_with_its_statistics(kind: type[Greedy], tmp_path: Path) -> None:
+    policy = kind(network())
     policy.save(tmp_path / "weights.npz")
-    loaded = Greedy.load(tmp_path / "weights.npz", network(seed=1))
+    loaded = kind.load(tmp_path / "weights.npz", network(seed=1))
     for observation in np.random.default_rng(0).uniform(-1, 1, (20, 4, 5)):
+        np.testing.assert_allclose(policy.q(observation), Greedy(network()).q(observation), atol=1e-6)
         np.testing.assert_array_equal(loaded.q(observation), policy.q(observation))
         assert loaded.act(observation) == policy.q(observation).argmax()
     assert weights(loaded) == weights(policy) != weights(Greedy(network(seed=1)))

@@ -35,10 +35,9 @@ def compiled(function: Callable[..., Any]) -> Any:
         return numba.njit(**options)(function)
 
 
-EGO, OTHERS, QUERY, OUTPUT, BASE, VALUE, ADVANTAGE = range(
-    7
-)  # parts of the network, each of some linear layers
-PARTS = "ego", "others", "query", "output", "base", "value", "advantage"  # their names in `EgoAttention`
+# Parts of the network, each of some linear layers, and their names in `EgoAttention`.
+EGO, OTHERS, QUERY, OUTPUT, BASE, VALUE, ADVANTAGE = range(7)
+PARTS = "ego", "others", "query", "output", "base", "value", "advantage"
 INPUTS, WIDTH, IS_RECTIFIED, WEIGHTS, BIASES, ROWS, VALUES = range(7)  # columns of `Pass.layers`
 
 

@@ -32,7 +32,7 @@ from scipy import stats
 from experiments.analysis.analysis import Analysis, stored
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import OUTCOMES
-from experiments.reporting.tables import UNITS, chosen, plain
+from experiments.reporting.tables import UNITS, WHO_DRIVES, chosen, plain
 from sumo_env.tasks import TASKS
 
 RESULTS = ROOT / "results"
@@ -322,9 +322,18 @@ def row(folder: str, table: str, **values: str) -> dict[str, Any]:
     return dict(rows.iloc[0])
 
 
-def price(folder: str, traffic: str, scope: str = ALL) -> Number:
-    """What mixed training loses of the gain (risky traffic) or adds to the harm (regular); `high` is one-sided."""
-    return number(row(folder, "price", term=traffic, scope=scope), signed=False)
+def price(folder: str, traffic: str, scope: str = ALL, **which: str) -> Number:
+    """What mixed training loses of the gain (risky traffic) or adds to the harm (regular); `high` is one-sided.
+
+    Args:
+        which: under the fourth plan, arm and against: that difference, with a sign.
+    """
+    return number(row(folder, "price", term=traffic, scope=scope, **which), signed=bool(which))
+
+
+def is_published(folder: str) -> bool:
+    """Whether a folder has an analysis."""
+    return (RESULTS / folder / "analysis.json").is_file()
 
 
 # -- the agents of a study ---------------------------------------------------------------------------------------------
@@ -472,7 +481,7 @@ def road_units(task: str, unit: str, digits: int) -> str:
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    avoidable, change, checks, corruptions, decided, effect, entering, failing,
+    avoidable, change, checks, corruptions, decided, effect, entering, failing, is_published,
     late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, rate, rates,
      returns, road_units, row, settings, tasks, validation, variant,
     with_noise_of_episodes,
@@ -496,6 +505,7 @@ def filled(template: Path) -> str:
         autoescape=False,
     )
     environment.globals.update({function.__name__: function for function in FUNCTIONS})
+    environment.globals["WHO_DRIVES"] = WHO_DRIVES
     environment.filters.update(plain=plain, short=short, in_words=in_words)
     text = environment.get_template(str(template.relative_to(TEMPLATES))).render()
     return NOTE.format(template=template.relative_to(ROOT)) + text

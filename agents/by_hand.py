@@ -10,10 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.dqn import flatten
 from agents.greedy import Greedy
 from agents.kernels import BASE, EGO, OTHERS, PARTS, WIDTH, Pass, approach, backward, descend, forward
-from agents.models import EgoAttention, Standardised
+from agents.models import EgoAttention, Standardised, flatten
 from agents.replay import Batch
 
 
@@ -77,7 +76,7 @@ class Compiled(Greedy):
 class Passes:
     """Passes through an `EgoAttention` behind standardised inputs, there and back.
 
-    weights: of all its parameters, see `agents.dqn.flatten`.
+    weights: of all its parameters, see `flatten`.
     """
 
     def __init__(self, module: nn.Module, weights: Tensor) -> None:

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from agents.greedy import Greedy, best
 from agents.learner import NEWER, check_numbers
-from agents.models import Network, Standardised, network_class
+from agents.models import Network, Standardised, flatten, network_class, unflattened
 from agents.replay import Batch, Replay
 from agents.streams import generator_state, number, restore_generator, stream
 
@@ -239,28 +239,6 @@ def greedy(config: DQNConfig) -> type[Greedy]:
     from agents.by_hand import Compiled  # needs numba
 
     return Compiled
-
-
-def flatten(module: nn.Module) -> Tensor:
-    """All parameters of a module in one vector, of which the module's own become views, as do their gradients."""
-    parameters = list(module.parameters())
-    vector = nn.Parameter(nn.utils.parameters_to_vector(parameters).detach().clone())
-    vector.grad = torch.zeros_like(vector)
-    start = 0
-    for parameter in parameters:
-        end = start + parameter.numel()
-        parameter.data = vector.data[start:end].view_as(parameter)
-        parameter.grad = vector.grad[start:end].view_as(parameter) if parameter.requires_grad else None
-        start = end
-    return vector
-
-
-def unflattened(module: nn.Module) -> nn.Module:
-    """A copy of a module with parameters of its own and without gradients."""
-    copy = deepcopy(module).requires_grad_(False)
-    for parameter in copy.parameters():
-        parameter.data, parameter.grad = parameter.data.clone(), None
-    return copy
 
 
 def _sizes(observations: gym.Space, actions: gym.Space) -> tuple[gym.spaces.Box, int]:

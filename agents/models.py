@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from itertools import pairwise
 
 import gymnasium as gym
@@ -147,6 +148,28 @@ class Standardised(nn.Module):
         varies = deviation > CONSTANT
         self.mean[rows] = torch.where(varies, mean, 0.0)
         self.deviation[rows] = torch.where(varies, deviation, 1.0)
+
+
+def flatten(module: nn.Module) -> Tensor:
+    """All parameters of a module in one vector, of which the module's own become views, as do their gradients."""
+    parameters = list(module.parameters())
+    vector = nn.Parameter(nn.utils.parameters_to_vector(parameters).detach().clone())
+    vector.grad = torch.zeros_like(vector)
+    start = 0
+    for parameter in parameters:
+        end = start + parameter.numel()
+        parameter.data = vector.data[start:end].view_as(parameter)
+        parameter.grad = vector.grad[start:end].view_as(parameter) if parameter.requires_grad else None
+        start = end
+    return vector
+
+
+def unflattened(module: nn.Module) -> nn.Module:
+    """A copy of a module with parameters of its own and without gradients."""
+    copy = deepcopy(module).requires_grad_(False)
+    for parameter in copy.parameters():
+        parameter.data, parameter.grad = parameter.data.clone(), None
+    return copy
 
 
 NETWORKS: dict[str, Network] = {"attention": EgoAttention, "dueling": DuelingMLP}

@@ -12,8 +12,7 @@ from torch.autograd import gradcheck
 from torch.func import functional_call
 
 from agents.by_hand import Passes
-from agents.dqn import flatten
-from agents.models import NETWORKS, DuelingMLP, EgoAttention, Standardised, network_class
+from agents.models import NETWORKS, DuelingMLP, EgoAttention, Standardised, flatten, network_class
 
 SPACE = gym.spaces.Box(-1, 1, (6, 5), np.float32)
 ACTIONS = 5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
 from itertools import accumulate
 from pathlib import Path
 
@@ -16,6 +17,15 @@ from agents.models import EgoAttention, Standardised, flatten
 from agents.replay import Batch
 
 
+@cache
+def announce() -> None:
+    """Say that the network is compiled, unless the machine code is on the disk."""
+    folder = forward.stats.cache_path
+    if not (folder and [*Path(folder).glob("kernels.forward-*.nbi")]):
+        text = "agents: Numba compiles the network, once for this installation ..."
+        print(text, file=sys.stderr, flush=True)
+
+
 class ByHand:
     """The updates of a double DQN whose networks are `EgoAttention` behind standardised inputs, on the CPU.
 
@@ -27,13 +37,6 @@ class ByHand:
         assert weights.grad is not None
         self._gradient = weights.grad.numpy()
         self._weights, self._target_weights = weights.detach().numpy(), target_weights.detach().numpy()
-        folder = forward.stats.cache_path
-        if not (folder and [*Path(folder).glob("kernels.forward-*.nbi")]):
-            print(
-                "agents: Numba compiles the network, once for this installation ...",
-                file=sys.stderr,
-                flush=True,
-            )
 
     def update(
         self, batch: Batch, adam: dict[str, Tensor], gamma: float, max_norm: float, rate: float, tau: float
@@ -82,6 +85,7 @@ class Passes:
     def __init__(self, module: nn.Module, weights: Tensor) -> None:
         assert isinstance(module, Standardised) and type(module.network) is EgoAttention
         assert weights.grad is not None
+        announce()
         network = module.network
         modules = dict(network.named_children()) | dict(network.decision.named_children())
         parts = [[part for part in modules[name].modules() if isinstance(part, nn.Linear)] for name in PARTS]

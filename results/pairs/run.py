@@ -37,10 +37,10 @@ TASKS = {  # in the order of the plan's amendment
     "highway-50": "highway",
     "two-way-5+2": "two-way",
 }
-MORE = "-more"  # exploratory arms of a setting, after the plan's questions in all settings
+MORE = "-more"  # what is exploratory in a setting, after the plan's questions in all settings
 SETTINGS = {**TASKS, **{f"{name}{MORE}": task for name, task in TASKS.items()}}
-# Of a setting: 30 agents, 85 tests of pairs, 6 drivers of fixed rules; and of its exploratory arms.
-CELLS = 121, 10
+# Of a setting: 30 agents, 35 pairs, 6 drivers of fixed rules. Then 50 tests of pairs in other traffic, 10 agents.
+CELLS = 71, 60
 TABLES, WEIGHTS = ("episodes.parquet", "gates.parquet"), "weights.npz"
 
 _found = importlib.util.spec_from_file_location("saving", HERE.parent / "second-rest" / "run.py")
@@ -64,20 +64,23 @@ def compute(code: Path, setting: str, out: Path) -> int:
     from experiments.study.design.experiment import Experiment
     from experiments.study.design.fingerprint import check_dynamics
     from experiments.study.design.presets import cells_of
+    from experiments.study.design.traffic import TRAFFICS
     from experiments.study.results.store import Store
 
-    pack(code, (setting,), out)
+    pack(code, dict.fromkeys((setting.removesuffix(MORE), setting)), out)  # pairs are made of the setting's agents
     asked: dict[str, Any] = {"preset": "pairs", "tasks": (SETTINGS[setting],), "settings": ("by_hand=true",)}
-    if setting.endswith(MORE):
-        asked |= {"arms": ("mixed-belief", "mixed-seen"), "seeds": 5}
     cells = cells_of(Experiment(**asked))
+    elsewhere = [cell for cell in cells if not {*cell.tested["traffics"]} <= {*TRAFFICS}]
     if setting.endswith(MORE):
-        cells = [cell for cell in cells if cell.kind == "agent"]
+        arms = cells_of(Experiment(**asked, arms=("mixed-belief", "mixed-seen"), seeds=5))
+        cells = [cell for cell in arms if cell.kind == "agent"] + elsewhere
+    else:
+        cells = [cell for cell in cells if cell not in elsewhere]
     assert len(cells) == number(setting), len(cells)
     check_dynamics([("sumo", SETTINGS[setting])])
     Store(out).write_sweep(f"results/pairs/run.py, setting {setting}", cells)
     failures = compute_cells(cells, out, workers=1)
-    return 1 if failures or len(Store(out).finished()) < len(cells) else 0
+    return 1 if failures or not {cell.name for cell in cells} <= {*Store(out).finished()} else 0
 
 
 def pack(code: Path, settings: Iterable[str], out: Path) -> None:

@@ -105,7 +105,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         A row an agent: cell, SETTING, arm, seed, passed (False if any gate fails, None if one could not be checked,
         True otherwise), failed (the names of the gates), and the same verdict for each of GATES.
     """
-    judged = episodes.set_index(["traffic", "scenario"]).filter(regex="^(cell|return|distance|action_.)$")
+    judged = episodes.set_index(["traffic", "scenario"]).filter(regex="^(cell|return|distance|action_.+)$")
     tables = dict(list(judged.sort_index().groupby("cell", sort=False)))
     keys = pd.DataFrame([cells[name]["key"] for name in tables], index=[*tables], dtype=object)
     references, rows = keys[keys["kind"] != "agent"], []

@@ -259,7 +259,7 @@ def test_who_stands_at_the_intersection_takes_the_published_gaps(name: str) -> N
     drivers = sorted(pool("intersection").drivers, key=lambda driver: float(driver.attributes[0][1]))
     for driver in drivers[6:60:26]:
         published = float(driver.attributes[0][1]) + pool("intersection").crossing
-        between = published - 0.75, published + 0.75
+        between = published - 1.5, published + 1.5  # so that one who takes every gap fails by far
         found = smallest_gap("intersection", driver, *CROSSINGS[name], 9.0, between=between)
         # .2 s is the search's step; SUMO's estimate of a crossing differs by .3 s between turns and streams
         assert found == pytest.approx(published, abs=0.5)

@@ -18,6 +18,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 from sumo_env import hints
+from sumo_env.sumo import process
 
 hints.DOCUMENTATION = ""  # messages name files, also once `make addresses` has filled it in
 
@@ -41,3 +42,11 @@ def regular_drivers() -> Iterator[None]:
     yield
     for name, value in PRISTINE.items():
         setattr(IDMVehicle, name, value)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def sumo_is_free() -> Iterator[None]:
+    """A module that leaves an environment open would send those of the next module into worker processes."""
+    yield
+    gc.collect()  # what is garbage closes itself
+    assert not process._Here._taken.locked(), "a test of this module left an environment open: close it"

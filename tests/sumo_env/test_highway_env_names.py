@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, ClassVar
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers)
@@ -221,10 +223,10 @@ class OwnSpaces(HighwayEnv):
 
 
 def test_spaces_and_info_can_be_overridden() -> None:
-    env = OwnSpaces({"vehicles_count": 3})
-    observation, info = env.reset(seed=0)
-    assert observation in env.observation_space and observation == pytest.approx([25.0])
-    assert info["lane"] == env.step(1)[4]["lane"] == env.vehicle.lane_index[2]
+    with closing(OwnSpaces({"vehicles_count": 3})) as env:
+        observation, info = env.reset(seed=0)
+        assert observation in env.observation_space and observation == pytest.approx([25.0])
+        assert info["lane"] == env.step(1)[4]["lane"] == env.vehicle.lane_index[2]
 
 
 def test_a_class_that_is_asked_for_in_the_wrong_place_is_told_the_right_one() -> None:
@@ -320,17 +322,14 @@ def alike(ours: Any, theirs: Any) -> None:
 
 
 class TestHints:
-    env: ClassVar[Any] = None
-
-    @pytest.fixture(autouse=True)
-    def one(self) -> None:
-        if self.env is None:
-            env: Any = gym.make("sumo/highway-v0", config={"vehicles_count": 2}).unwrapped
+    @pytest.fixture(scope="class")
+    def env(self) -> Iterator[Any]:
+        env: Any = gym.make("sumo/highway-v0", config={"vehicles_count": 2}).unwrapped
+        with closing(env):
             env.reset(seed=0)
-            type(self).env = env
+            yield env
 
-    def test_every_name_of_highway_env_can_be_read_or_says_why_not(self) -> None:
-        env = self.env
+    def test_every_name_of_highway_env_can_be_read_or_says_why_not(self, env: Any) -> None:
         views = {
             "env": env, "vehicle": env.vehicle, "road": env.road, "network": env.road.network,
             "lane": env.vehicle.lane, "observation_type": env.observation_type, "action_type": env.action_type,
@@ -357,9 +356,9 @@ class TestHints:
             ("controled_vehicles", "did you mean 'controlled_vehicles'"),
         ],
     )
-    def test_a_typo_is_told_from_what_is_missing(self, name: str, message: str) -> None:
+    def test_a_typo_is_told_from_what_is_missing(self, env: Any, name: str, message: str) -> None:
         *way, last = name.split(".")
-        part = self.env
+        part = env
         for each in way:
             part = getattr(part, each)
         with pytest.raises(AttributeError, match=message):
@@ -370,13 +369,13 @@ class TestHints:
         assert hints.REASONS.keys() <= {name for names in known["names"].values() for name in names}
         assert hints.TYPES.keys() <= {name for names in known["types"].values() for name in names}
 
-    def test_what_is_printed_says_where_a_vehicle_is(self) -> None:
-        ego = self.env.vehicle
+    def test_what_is_printed_says_where_a_vehicle_is(self, env: Any) -> None:
+        ego = env.vehicle
         assert (
             repr(ego)
             == f"Ego 'ego' at ({ego.position[0]:.1f}, {ego.position[1]:.1f}) m, 25.0 m/s, on {ego.lane_index}"
         )
-        assert repr(self.env.road).startswith("(Ego 'ego' at")
+        assert repr(env.road).startswith("(Ego 'ego' at")
 
 
 def test_the_site_replaces_the_files_of_the_repository(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import math
 import warnings
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -34,8 +36,9 @@ META_ACTION = {"type": "DiscreteMetaAction"}
 
 
 @pytest.fixture
-def highway() -> gym.Env[Any, Any]:
-    return gym.make("sumo/highway-v0", config={"vehicles_count": 10})
+def highway() -> Iterator[gym.Env[Any, Any]]:
+    with closing(gym.make("sumo/highway-v0", config={"vehicles_count": 10})) as env:
+        yield env
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])

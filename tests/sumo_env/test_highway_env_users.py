@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import gymnasium as gym
@@ -39,10 +41,10 @@ RL_AGENTS: dict[str, tuple[str, Config]] = {
 
 
 @pytest.fixture
-def highway() -> DrivingEnv:
-    env = DrivingEnv("highway", {"vehicles_count": 10, "initial_lane_id": 0})
-    env.reset(seed=0)
-    return env
+def highway() -> Iterator[DrivingEnv]:
+    with closing(DrivingEnv("highway", {"vehicles_count": 10, "initial_lane_id": 0})) as env:
+        env.reset(seed=0)
+        yield env
 
 
 # -- configurations ----------------------------------------------------------------------------------------

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -88,8 +90,9 @@ def test_a_configuration_is_driven_or_refused_in_one_line(count: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def env() -> DrivingEnv:
-    return DrivingEnv("u-turn")
+def env() -> Iterator[DrivingEnv]:
+    with closing(DrivingEnv("u-turn")) as env:
+        yield env
 
 
 ACTIONS = NUMBERS | JUNK | st.integers() | st.integers(0, 4).map(np.int64) | st.integers(0, 4).map(np.array)

@@ -287,6 +287,13 @@ def rate(folder: str, who: str, traffic: str, scope: str = ALL, digits: int = 0)
     return plain(100 * mean_of(folder, "crashed", who, traffic, scope), digits)
 
 
+def who_drives(folder: str) -> dict[str, str]:
+    """Who drives in every setting of a folder, one agent or two together, and the words for it."""
+    rows = policies(folder)
+    places = rows.groupby("who")[["task", "level_name"]].apply(lambda one: len(one.drop_duplicates()))
+    return {who: words for who, words in WHO_DRIVES.items() if places.get(who) == places.max()}
+
+
 def more_crashes(folder: str, arm: str, traffic: str, scope: str) -> str:
     """How many points more often than control agents those of an arm crash, without its sign: "27"."""
     both = [mean_of(folder, "crashed", who, traffic, scope) for who in (arm, "control")]
@@ -484,7 +491,7 @@ FUNCTIONS: list[Callable[..., Any]] = [
     avoidable, change, checks, corruptions, decided, effect, entering, failing, is_published,
     late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, rate, rates,
      returns, road_units, row, settings, tasks, validation, variant,
-    with_noise_of_episodes,
+    who_drives, with_noise_of_episodes,
 ]  # fmt: skip
 
 
@@ -505,7 +512,6 @@ def filled(template: Path) -> str:
         autoescape=False,
     )
     environment.globals.update({function.__name__: function for function in FUNCTIONS})
-    environment.globals["WHO_DRIVES"] = WHO_DRIVES
     environment.filters.update(plain=plain, short=short, in_words=in_words)
     text = environment.get_template(str(template.relative_to(TEMPLATES))).render()
     return NOTE.format(template=template.relative_to(ROOT)) + text

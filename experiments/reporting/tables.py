@@ -175,10 +175,14 @@ def price(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 
 def pairs(analysis: Analysis, backend: str) -> pd.DataFrame:
-    """Crash rates and speeds of one agent and of two together, every task weighted alike; empty without pairs."""
+    """Crash rates and speeds of one agent and of two together, every task weighted alike; empty without pairs.
+
+    Who does not drive in every task is left out.
+    """
     rows = chosen(analysis.policies, backend=backend, arm=list(WHO_DRIVES), traffic=list(TRAFFICS))
     if not {*rows["arm"]} & {*PAIRS}:
         return pd.DataFrame()
+    rows = rows[rows.groupby("arm")["task"].transform("nunique") == rows["task"].nunique()]
     by_task = rows.groupby(["arm", "traffic", "task"])[["crashed", "mean_speed"]].mean()
     means_of = by_task.groupby(["arm", "traffic"]).mean().sort_index(level="traffic", ascending=False)
     found = means_of.reindex(list(WHO_DRIVES), level="arm").dropna().reset_index()

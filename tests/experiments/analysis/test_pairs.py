@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -167,6 +168,9 @@ def test_a_report_has_a_row_for_everybody_who_drives(tmp_path: Path) -> None:
     rows = found.policies.query("arm == 'two-treatment' and traffic == 'risky'")
     risky = rates.loc["two treated agents", "crashes in risky traffic"]
     assert len(rows) == 2 and risky == tables.number(rows["crashed"].mean(), "crashed")
+    lost = (found.policies["arm"] == "two-mixed") & (found.policies["task"] == "u-turn")
+    fewer = tables.pairs(replace(found, policies=found.policies[~lost]), "sumo")
+    assert {*rates.index} - {*fewer["who drives"]} == {"two mixed agents"}  # no mean of other tasks beside others
     against = tables.belief(found, "sumo").set_index("minus")
     bound = found.price.query("against == 'two-control' and scope == 'all tasks'").iloc[0]
     shown = against.loc["two control agents, regular traffic"]

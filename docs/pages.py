@@ -200,13 +200,19 @@ def in_words(value: int) -> str:
 
 
 def row_of(
-    folder: str, outcome: str, traffic: str, scope: str, arm: str = "treatment", tested_on: str | None = None
+    folder: str,
+    outcome: str,
+    traffic: str,
+    scope: str,
+    arm: str = "treatment",
+    tested_on: str | None = None,
+    against: str = "control",
 ) -> dict[str, Any]:
     """The row of an effect, of the analysis' means or of its effects."""
     found = analysis(folder)
     home = found.effects["backend"].iloc[0]
     place = tested_on or home
-    wanted = {"arm": arm, "against": "control", "tested_on": place, "outcome": outcome, "term": traffic}
+    wanted = {"arm": arm, "against": against, "tested_on": place, "outcome": outcome, "term": traffic}
     wanted["scenarios"] = "own" if place == home else place
     if scope == LIGHTEST:
         return pooled(in_scope(chosen(found.effects, **wanted), scope))
@@ -234,13 +240,14 @@ def effect(
     scope: str = ALL,
     arm: str = "treatment",
     tested_on: str | None = None,
+    against: str = "control",
 ) -> Number:
-    """An arm minus control: the mean over a scope, with its interval.
+    """An arm minus control, or another arm: the mean over a scope, with its interval.
 
     Args:
         tested_on: the simulator of the test, where it is not that of the training.
     """
-    kind, found = OUTCOMES[outcome], row_of(folder, outcome, traffic, scope, arm, tested_on)
+    kind, found = OUTCOMES[outcome], row_of(folder, outcome, traffic, scope, arm, tested_on, against)
     scale, unit = (100, " points") if kind.percent else (1, UNITS.get(outcome, ""))
     return number(found, scale, kind.digits, unit)
 

@@ -6,6 +6,9 @@ The same command goes on wherever it was stopped. What is said of signals, savin
 results/second-rest/run.py holds here: this file takes its process that saves from there, and has cells, order, commit
 and the weights of its own.
 
+With --part 0 and --part 1 two processes share a setting, each with a working folder of its own: agents and pairs of even
+and of odd training seeds. A pair needs agents of both: a part ends with its agents unless the other's are saved.
+
     python results/pairs/run.py --code WORKTREE --pack results/pairs
 
 adds the complete settings to the tables of a folder.
@@ -19,6 +22,7 @@ import io
 import json
 import lzma
 import os
+import re
 import signal
 import sys
 import tarfile
@@ -60,7 +64,13 @@ def number(setting: str) -> int:
 # -- In the process that computes ------------------------------------------------------------------------------------
 
 
-def compute(code: Path, setting: str, out: Path) -> int:
+def part_of(name: str) -> int:
+    """Of which of two parts a cell is."""
+    seed = re.search(r"-s(\d+)-", name)
+    return int(seed[1]) % 2 if seed else 1  # drivers of fixed rules are with the fewer pairs
+
+
+def compute(code: Path, setting: str, out: Path, part: int | None) -> int:
     """The cells of a setting as `experiments/sweep.py` computes them, one at a time, but without a report."""
     sys.path[0] = str(code)
     from experiments.study.compute.cells import compute as compute_cells
@@ -84,6 +94,9 @@ def compute(code: Path, setting: str, out: Path) -> int:
     assert len(cells) == number(setting), len(cells)
     check_dynamics([("sumo", SETTINGS[setting])])
     Store(out).write_sweep(f"results/pairs/run.py, setting {setting}", cells)
+    if part is not None:
+        missing = {cell.name for cell in cells if cell.kind == "agent"} - {*Store(out).finished()}
+        cells = [cell for cell in cells if part_of(cell.name) == part and (cell.kind == "agent" or not missing)]
     failures = compute_cells(cells, out, workers=1)
     return 1 if failures or not {cell.name for cell in cells} <= {*Store(out).finished()} else 0
 
@@ -177,6 +190,7 @@ def main() -> None:
     parser.add_argument(
         "--pack", type=Path, metavar="DIR", help="add the complete settings to this folder instead"
     )
+    parser.add_argument("--part", type=int, choices=(0, 1), help="one of two halves of each setting")
     parser.add_argument("--compute", choices=SETTINGS, help=argparse.SUPPRESS)
     options = parser.parse_args()
     saving.HERE, saving.COMMIT, saving.COSTS, saving.save = HERE, COMMIT, HERE / "costs.csv", save
@@ -189,7 +203,11 @@ def main() -> None:
     if not options.work:
         parser.error("--work is needed")
     if options.compute:
-        sys.exit(compute(code, options.compute, options.work))
+        sys.exit(compute(code, options.compute, options.work, options.part))
+    further = []
+    if options.part is not None:
+        further = ["--part", str(options.part)]
+        saving.mine = lambda name: part_of(name) == options.part
     wanted = SimpleNamespace(stop=False, save=False)
     for signum, name in {signal.SIGUSR1: "save", signal.SIGINT: "stop", signal.SIGTERM: "stop"}.items():
         signal.signal(signum, lambda *_, name=name: setattr(wanted, name, True))
@@ -207,7 +225,7 @@ def main() -> None:
             f"{setting}: {len(saving.finished(setting, out))} of {number(setting)} cells are there",
             flush=True,
         )
-        if saving.follow(setting, code, out, wanted):
+        if saving.follow(setting, code, out, wanted, further):
             return
 
 

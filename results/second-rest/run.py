@@ -171,7 +171,13 @@ def complete(settings: Iterable[str], cells: Callable[[str], int]) -> list[str]:
 
 def finished(setting: str, out: Path) -> set[str]:
     """Names of the cells of a setting that are saved, or finished in a working folder, where they are moved whole."""
-    return saved(setting) | {path.name for path in (out / "cells").glob("sumo-*")}
+    there = saved(setting) | {path.name for path in (out / "cells").glob("sumo-*")}
+    return {name for name in there if mine(name)}
+
+
+def mine(name: str) -> bool:
+    """Whether this process computes the cell of this name."""
+    return True
 
 
 def restore(setting: str, out: Path) -> None:
@@ -179,7 +185,7 @@ def restore(setting: str, out: Path) -> None:
     for packed in (HERE / setting).glob(f"*{CHECKPOINT}"):
         name = packed.name.removesuffix(CHECKPOINT)
         there = out / "work" / name / "checkpoint.npz"
-        if name not in finished(setting, out) and not there.exists():
+        if mine(name) and name not in finished(setting, out) and not there.exists():
             write(there, lzma.decompress(packed.read_bytes()))
             print(f"{setting}: goes on from the saved checkpoint of {name}", flush=True)
 
@@ -268,8 +274,11 @@ def note_cost(cell: str, seconds: float, state: str) -> None:
         writer.writerow([cell, f"{seconds:.1f}", state])
 
 
-def follow(setting: str, code: Path, out: Path, wanted: Any) -> bool:
-    """Compute a setting in a process of its own, and save; returns whether it was stopped. wanted: what signals ask."""
+def follow(setting: str, code: Path, out: Path, wanted: Any, further: Iterable[str] = ()) -> bool:
+    """Compute a setting in a process of its own, and save; returns whether it was stopped.
+
+    wanted: what signals ask. further: words of the process's command.
+    """
     words = [
         ".venv/bin/python",
         str(HERE / "run.py"),
@@ -279,6 +288,7 @@ def follow(setting: str, code: Path, out: Path, wanted: Any) -> bool:
         str(out),
         "--compute",
         setting,
+        *further,
     ]
     with (out / "log.txt").open("a") as log:
         process = subprocess.Popen(

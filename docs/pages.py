@@ -32,7 +32,8 @@ from scipy import stats
 from experiments.analysis.analysis import Analysis, stored
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import OUTCOMES
-from experiments.reporting.tables import UNITS, WHO_DRIVES, chosen, plain
+from experiments.reporting import tables
+from experiments.reporting.tables import UNITS, chosen, plain
 from sumo_env.tasks import TASKS
 
 RESULTS = ROOT / "results"
@@ -295,10 +296,8 @@ def rate(folder: str, who: str, traffic: str, scope: str = ALL, digits: int = 0)
 
 
 def who_drives(folder: str) -> dict[str, str]:
-    """Who drives in every setting of a folder, one agent or two together, and the words for it."""
-    rows = policies(folder)
-    places = rows.groupby("who")[["task", "level_name"]].apply(lambda one: len(one.drop_duplicates()))
-    return {who: words for who, words in WHO_DRIVES.items() if places.get(who) == places.max()}
+    """Who drives in every task of a folder, one agent or two together, and the words for it."""
+    return tables.who_drives(policies(folder))
 
 
 def more_crashes(folder: str, arm: str, traffic: str, scope: str) -> str:

@@ -174,6 +174,12 @@ def price(analysis: Analysis, backend: str) -> pd.DataFrame:
     return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "mean of the tasks")), ["task"], cells)
 
 
+def who_drives(policies: pd.DataFrame) -> dict[str, str]:
+    """Who drives in every task, one agent or two together, and the words for it."""
+    tasks = policies.groupby("arm")["task"].nunique()
+    return {arm: words for arm, words in WHO_DRIVES.items() if tasks.get(arm) == policies["task"].nunique()}
+
+
 def pairs(analysis: Analysis, backend: str) -> pd.DataFrame:
     """Crash rates and speeds of one agent and of two together, every task weighted alike; empty without pairs.
 
@@ -182,10 +188,9 @@ def pairs(analysis: Analysis, backend: str) -> pd.DataFrame:
     rows = chosen(analysis.policies, backend=backend, arm=list(WHO_DRIVES), traffic=list(TRAFFICS))
     if not {*rows["arm"]} & {*PAIRS}:
         return pd.DataFrame()
-    rows = rows[rows.groupby("arm")["task"].transform("nunique") == rows["task"].nunique()]
     by_task = rows.groupby(["arm", "traffic", "task"])[["crashed", "mean_speed"]].mean()
     means_of = by_task.groupby(["arm", "traffic"]).mean().sort_index(level="traffic", ascending=False)
-    found = means_of.reindex(list(WHO_DRIVES), level="arm").dropna().reset_index()
+    found = means_of.reindex(list(who_drives(rows)), level="arm").dropna().reset_index()
 
     def cells(row: Mapping[str, Any]) -> dict[str, str]:
         return {

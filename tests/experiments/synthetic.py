@@ -83,13 +83,7 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
     names = list(COLUMNS)[:-1]  # before there was `actions`
     columns = {name: np.concatenate([table[name] for table in tables]) for name in names}
     index = np.concatenate([np.arange(n)] * len(tables))
-    return pd.DataFrame(
-        {
-            name: pd.array(values, COLUMNS[name]) if COLUMNS[name] == "str" else values.astype(COLUMNS[name])
-            for name, values in columns.items()
-        },
-        index,
-    )
+    return pd.DataFrame(columns, index).astype({name: COLUMNS[name] for name in names})
 
 
 def learner(cell: grid.Cell, diverged: bool) -> dict[str, Any]:

@@ -295,11 +295,11 @@ def open_or_harmful(folder: str, arm: str, traffic: str, harm: bool) -> list[str
 
 
 def test_where_the_second_study_finds_gains_and_harms() -> None:
-    """README and docs/study.md: the dense highway is open; the two-way road and two dense settings have a price."""
+    """README and docs/study.md: the dense highway is open; the two-way road and three dense settings have a price."""
     for arm in ("treatment", "mixed"):
         assert open_or_harmful("second", arm, "risky", harm=False) == ["highway 150"]
     harms = open_or_harmful("second", "treatment", "regular", harm=True)
-    assert harms == ["highway 150", "intersection 30", "two-way 5+2"]
+    assert harms == ["highway 150", "intersection 25", "intersection 30", "two-way 5+2"]
     falls = pages.analysis("second").effects.query(
         "arm == 'treatment' and against == 'control' and outcome == 'return' and term == 'sum' "
         "and scenarios == 'own' and estimate < 0 and p_adjusted < 0.05"

@@ -1,4 +1,4 @@
-"""Compute the nine settings of the second study that are left; see README.md beside this file.
+"""Compute the five settings of the second study that are left; see README.md beside this file.
 
     python results/second-rest/run.py --code WORKTREE --work FOLDER
 
@@ -34,10 +34,6 @@ from typing import Any
 
 COMMIT = "842ea8e"
 SETTINGS = {  # task and level, in the order of the plan's amendment
-    "intersection-15": ("intersection", 2),
-    "roundabout-10": ("roundabout", 2),
-    "intersection-20": ("intersection", 3),
-    "intersection-25": ("intersection", 4),
     "u-turn-6": ("u-turn", 2),
     "u-turn-9": ("u-turn", 3),
     "highway-100": ("highway", 2),

@@ -8,22 +8,21 @@ column of the observation, which one of the wrappers adds: the estimate, the est
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from agents.checkpoint import load_arrays, save_arrays
-from agents.greedy import Greedy, best, with_column, with_weights
+from agents.columns import Env, Observed
+from agents.greedy import Greedy, best, with_weights
 from agents.rules.perception import Perception, View
 from agents.streams import stream
 
-Env = gym.Env[Any, Any]
 Rule = Sequence[float]  # sharpness and threshold of `sharpened`
 EGO, VEHICLE = 7, 10  # numbers that are read of the ego and of each vehicle
 WIDTH = 48
@@ -112,27 +111,6 @@ def sharpened(belief: float, sharpness: float, threshold: float) -> float:
     """
     second, first = (belief * (1 - threshold)) ** sharpness, ((1 - belief) * threshold) ** sharpness
     return second / (first + second)
-
-
-class Observed(gym.ObservationWrapper[Any, Any, Any]):
-    """Adds a column to observations (vehicles, features): a number from 0 to 1 in the ego's row, 0 in the others.
-
-    ``share``: returns that number for an observation, after every reset and step.
-    """
-
-    def __init__(self, env: Env, share: Callable[[np.ndarray], float]) -> None:
-        super().__init__(env)
-        self._share = share
-        space = env.observation_space
-        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 2:
-            raise ValueError(f"Only observations (vehicles, features) can get a column more, not {space}.")
-        low = np.column_stack([space.low, np.zeros(space.shape[0])]).astype(np.float32)
-        high = np.column_stack([space.high, np.ones(space.shape[0])]).astype(np.float32)
-        self.observation_space = gym.spaces.Box(low, high)
-
-    def observation(self, observation: np.ndarray) -> np.ndarray:
-        """The observation with its column."""
-        return with_column(observation, self._share(observation))
 
 
 class BeliefObserved(Observed):

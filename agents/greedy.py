@@ -11,6 +11,7 @@ import torch
 from torch import nn
 
 from agents.checkpoint import CheckpointError, load_arrays, save_arrays
+from agents.columns import with_column
 
 
 class Greedy:
@@ -91,10 +92,3 @@ class Timed(Greedy):
         share = min(self._taken / self.steps, 1.0)
         self._taken += 1
         return super().act(with_column(observation, share))
-
-
-def with_column(observation: np.ndarray, value: float) -> np.ndarray:
-    """A table (vehicles, features) with a feature more: `value` in the ego's row, the first, 0 in the others."""
-    column = np.zeros(len(observation), observation.dtype)
-    column[0] = value
-    return np.column_stack([observation, column])

@@ -153,6 +153,11 @@ for id in sumo_env.IDS:
         (USE, {"torch", "matplotlib", "pandas", "statsmodels", "highway_env", "numba", "PIL"}),
         # each of its measuring processes imports it
         ("import experiments.benchmark", {"torch", "matplotlib", "stable_baselines3"}),
+        # --help, errors and --dry-run wait for it
+        *[
+            (f"import experiments.{name}", {"torch", "stable_baselines3", "numba", "highway_env"})
+            for name in ("sweep", "report", "train", "test", "watch", "replay", "validate")
+        ],
     ],
 )
 def test_what_is_slow_is_loaded_where_it_is_used(statement: str, unwanted: set[str]) -> None:

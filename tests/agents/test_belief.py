@@ -17,7 +17,6 @@ from agents.belief import (
     VEHICLE,
     BeliefObserved,
     Estimator,
-    Observed,
     ShuffledObserved,
     Weighed,
     features,
@@ -26,6 +25,7 @@ from agents.belief import (
 )
 from agents.by_hand import Compiled
 from agents.checkpoint import save_arrays
+from agents.columns import Observed
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
 from agents.rules.perception import Perception

@@ -8,9 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.belief import Weighed
 from agents.checkpoint import CheckpointError
-from agents.greedy import Greedy
 from agents.plugins import foreign
 from agents.policies import Policy, foreign_policy
 from agents.rules import make_policy
@@ -55,6 +53,9 @@ def driver(
     agent = learner.load(weights, settings, env)
     if second is None:
         return env, agent
+    from agents.belief import Weighed  # here: not every command needs torch
+    from agents.greedy import Greedy
+
     other = learner.load(second, settings, env)
     if not (isinstance(agent, Greedy) and isinstance(other, Greedy)):
         raise UserError(f"agents of the learner {key['policy']} have no Q-values that a pair could average")

@@ -7,15 +7,12 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.belief import BeliefObserved, Estimator, Observed, ShuffledObserved
+from agents.columns import Env, Observed
 from agents.streams import episode_seed
 from experiments.study.design.estimators import file_of
 from experiments.study.design.rules import TrainingRules
 from experiments.study.design.traffic import Traffic
 from sumo_env.traffic.scenario import Scenario
-
-Env = gym.Env[Any, Any]
-WEIGHTS = {"belief": BeliefObserved, "shuffled": ShuffledObserved}  # of a pair, that ask an estimator
 
 
 class TimeObserved(Observed):
@@ -82,6 +79,8 @@ def observed(env: Env, rules: TrainingRules) -> Env:
     if rules.dose_observed:
         env = Observed(env, lambda _: float(inner.config["risk"]))
     if rules.estimator_sha256:
+        from agents.belief import BeliefObserved, Estimator  # here: not every command needs torch
+
         env = BeliefObserved(env, Estimator.load(file_of(rules.estimator_sha256)))
     # as a share of the episode, or of so many seconds in training and test alike
     seconds = inner.config["duration"] if rules.finite_horizon else rules.time_observed
@@ -91,9 +90,15 @@ def observed(env: Env, rules: TrainingRules) -> Env:
 def weighed(env: Env, pair: Mapping[str, Any]) -> Env:
     """The environment of a pair of agents: the weight of the second is its last column (pair: as in `grid.Cell`)."""
     inner: Any = env.unwrapped
-    if pair["weight"] in WEIGHTS:
-        estimator = Estimator.load(file_of(pair["estimator_sha256"]))
-        return WEIGHTS[pair["weight"]](env, estimator, pair["rule"])
+    if pair["weight"] in ("belief", "shuffled"):
+        from agents.belief import (
+            BeliefObserved,
+            Estimator,
+            ShuffledObserved,
+        )  # here: not every command needs torch
+
+        kind = BeliefObserved if pair["weight"] == "belief" else ShuffledObserved
+        return kind(env, Estimator.load(file_of(pair["estimator_sha256"])), pair["rule"])
     return Observed(env, lambda _: float(inner.config["risk"]) if pair["weight"] == "dose" else 0.5)
 
 

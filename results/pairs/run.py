@@ -70,17 +70,15 @@ def part_of(name: str) -> int:
     return int(seed[1]) % 2 if seed else 1  # drivers of fixed rules are with the fewer pairs
 
 
-def compute(code: Path, setting: str, out: Path, part: int | None) -> int:
-    """The cells of a setting as `experiments/sweep.py` computes them, one at a time, but without a report."""
-    sys.path[0] = str(code)
-    from experiments.study.compute.cells import compute as compute_cells
+def cells_in(setting: str) -> tuple[str, list[Any]]:
+    """The command that asks for a setting's cells, perhaps among others, and these cells; `code` is in the path."""
     from experiments.study.design.experiment import Experiment
-    from experiments.study.design.fingerprint import check_dynamics
     from experiments.study.design.presets import cells_of
     from experiments.study.design.traffic import TRAFFICS
-    from experiments.study.results.store import Store
 
-    pack(code, dict.fromkeys((setting.removesuffix(MORE), setting)), out)  # pairs are made of the setting's agents
+    command = (
+        f"python experiments/sweep.py --preset pairs --settings by_hand=true --tasks {SETTINGS[setting]}"
+    )
     asked: dict[str, Any] = {"preset": "pairs", "tasks": (SETTINGS[setting],), "settings": ("by_hand=true",)}
     cells = cells_of(Experiment(**asked))
     late = LATER if setting.removesuffix(MORE) in LATER_IN else ()
@@ -92,11 +90,27 @@ def compute(code: Path, setting: str, out: Path, part: int | None) -> int:
     else:
         cells = [cell for cell in cells if cell not in later]
     assert len(cells) == number(setting), len(cells)
+    return command, cells
+
+
+def compute(code: Path, setting: str, out: Path, part: int | None) -> int:
+    """The cells of a setting as `experiments/sweep.py` computes them, one at a time, but without a report."""
+    sys.path[0] = str(code)
+    from experiments.study.compute.cells import compute as compute_cells
+    from experiments.study.design.fingerprint import check_dynamics
+    from experiments.study.results.store import Store
+
+    pack(
+        code, dict.fromkeys((setting.removesuffix(MORE), setting)), out
+    )  # pairs are made of the setting's agents
+    _, cells = cells_in(setting)
     check_dynamics([("sumo", SETTINGS[setting])])
     Store(out).write_sweep(f"results/pairs/run.py, setting {setting}", cells)
     if part is not None:
         missing = {cell.name for cell in cells if cell.kind == "agent"} - {*Store(out).finished()}
-        cells = [cell for cell in cells if part_of(cell.name) == part and (cell.kind == "agent" or not missing)]
+        cells = [
+            cell for cell in cells if part_of(cell.name) == part and (cell.kind == "agent" or not missing)
+        ]
     failures = compute_cells(cells, out, workers=1)
     return 1 if failures or not {cell.name for cell in cells} <= {*Store(out).finished()} else 0
 
@@ -198,7 +212,11 @@ def main() -> None:
     if not (code / ".venv/bin/python").samefile(sys.executable):
         parser.error(f"it needs {code}/.venv/bin/python")
     if options.pack:
-        pack(code, saving.complete(options.settings, number), options.pack)
+        pack(code, complete := saving.complete(options.settings, number), options.pack)
+        from experiments.study.results.store import Store
+
+        for command, cells in map(cells_in, complete):
+            Store(options.pack).write_sweep(command, cells)
         return
     if not options.work:
         parser.error("--work is needed")

@@ -109,12 +109,14 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     return Timed(inner, steps) if steps else Greedy(inner)
 
 
-def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE) -> None:
-    """Write agents with their cards, by "SETTING/ARM"."""
+def save(
+    agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE, half: bool = False
+) -> None:
+    """Write agents with their cards, by "SETTING/ARM"; `half`: their weights in half precision."""
     arrays = {CARDS: np.array(json.dumps({name: about for name, (about, _) in agents.items()}))}
     for name, (_, policy) in agents.items():
         for part, value in policy.network.state_dict().items():
-            arrays[f"{name}/{part}"] = value.numpy()
+            arrays[f"{name}/{part}"] = (value.half() if half and value.is_floating_point() else value).numpy()
     save_arrays(file, arrays)
 
 

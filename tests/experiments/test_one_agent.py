@@ -11,6 +11,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
+import torch
 from PIL import Image
 
 import agents
@@ -156,3 +157,11 @@ def test_an_agent_can_be_published_and_loaded(tmp_path: Path) -> None:
         env.close()
         assert list(again["actions"]) == list(regular["actions"][:2])
         assert list(again["return"]) == list(regular["return"][:2])
+    publish.main(tmp_path, halved := tmp_path / "every.npz", every=True)
+    assert list(agents.cards(halved)) == [f"{setting}/control-s0" for setting in settings.values()]
+    assert halved.stat().st_size < 0.6 * file.stat().st_size
+    one, other = (
+        agents.load("u-turn-3", arm, of).network.state_dict()
+        for arm, of in (("control", file), ("control-s0", halved))
+    )
+    assert all(torch.equal(value.half(), other[name].half()) for name, value in one.items())

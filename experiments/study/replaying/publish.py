@@ -1,6 +1,7 @@
 """Write results/agents.npz: of each arm and setting of a study the agent with the first training seed.
 
     python -m experiments.study.replaying.publish results/sumo-second
+    python -m experiments.study.replaying.publish results/pairs --out results/pairs/agents.npz --every
 
 Agents of other settings that are in the file stay. Agents that observe the dose are left out.
 """
@@ -63,12 +64,17 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
     return about, policy
 
 
-def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretrained.FILE) -> int:
+def main(
+    directory: Annotated[Path, tyro.conf.Positional],
+    out: Path = pretrained.FILE,
+    every: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
     """Write the file of agents.
 
     Args:
         directory: a study's results on SUMO.
         out: the file.
+        every: the agents of all training seeds, as ARM-sSEED, with their weights in half precision.
     """
     if not out.parent.is_dir():
         raise UserError(f"there is no folder {out.parent}: make it, or choose another file with --out")
@@ -84,12 +90,13 @@ def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretraine
     for name, record in sorted(store.agents().items(), key=lambda cell: cell[1]["key"]["seed"]):
         key = record["key"]
         if key["backend"] == "sumo" and store.weights(name):
-            first.setdefault(f"{key['task']}-{key['level_name']}/{key['arm']}", name)
+            seed = f"-s{key['seed']}" if every else ""
+            first.setdefault(f"{key['task']}-{key['level_name']}/{key['arm']}{seed}", name)
     for label, name in sorted(first.items()):
         if (agent := published(directory, name, commands[name])) is not None:
             agents[label] = agent
             print(label, agent[0]["risky"]["crash_rate"])
-    pretrained.save(dict(sorted(agents.items())), out)
+    pretrained.save(dict(sorted(agents.items())), out, half=every)
     print(f"written: {out} ({len(agents)} agents, {out.stat().st_size / 1e6:.1f} MB)")
     return 0
 

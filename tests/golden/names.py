@@ -21,8 +21,6 @@ FOLDERS = ("second", "standard", "replica", "paper", "paper-v0", "linear", "firs
 ARMS = "--arms control treatment mixed --frontier --unseen --test-on replica"
 # Settings of the second study that are not published: numbers of their levels by task.
 MISSING = {
-    "roundabout": (2,),
-    "intersection": (2, 3, 4),
     "u-turn": (2, 3),
     "highway": (2,),
     "two-way": (2, 3),

@@ -153,7 +153,7 @@ for id in sumo_env.IDS:
         (USE, {"torch", "matplotlib", "pandas", "statsmodels", "highway_env", "numba", "PIL"}),
         # each of its measuring processes imports it
         ("import experiments.benchmark", {"torch", "matplotlib", "stable_baselines3"}),
-        # --help, errors and --dry-run wait for it
+        # --help and errors of the command line wait for it
         *[
             (f"import experiments.{name}", {"torch", "stable_baselines3", "numba", "highway_env"})
             for name in ("sweep", "report", "train", "test", "watch", "replay", "validate")

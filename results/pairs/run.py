@@ -76,9 +76,7 @@ def cells_in(setting: str) -> tuple[str, list[Any]]:
     from experiments.study.design.presets import cells_of
     from experiments.study.design.traffic import TRAFFICS
 
-    command = (
-        f"python experiments/sweep.py --preset pairs --settings by_hand=true --tasks {SETTINGS[setting]}"
-    )
+    command = f"python experiments/sweep.py --preset pairs --settings by_hand=true --tasks {SETTINGS[setting]}"
     asked: dict[str, Any] = {"preset": "pairs", "tasks": (SETTINGS[setting],), "settings": ("by_hand=true",)}
     cells = cells_of(Experiment(**asked))
     late = LATER if setting.removesuffix(MORE) in LATER_IN else ()
@@ -100,17 +98,13 @@ def compute(code: Path, setting: str, out: Path, part: int | None) -> int:
     from experiments.study.design.fingerprint import check_dynamics
     from experiments.study.results.store import Store
 
-    pack(
-        code, dict.fromkeys((setting.removesuffix(MORE), setting)), out
-    )  # pairs are made of the setting's agents
+    pack(code, dict.fromkeys((setting.removesuffix(MORE), setting)), out)  # pairs are made of the setting's agents
     _, cells = cells_in(setting)
     check_dynamics([("sumo", SETTINGS[setting])])
     Store(out).write_sweep(f"results/pairs/run.py, setting {setting}", cells)
     if part is not None:
         missing = {cell.name for cell in cells if cell.kind == "agent"} - {*Store(out).finished()}
-        cells = [
-            cell for cell in cells if part_of(cell.name) == part and (cell.kind == "agent" or not missing)
-        ]
+        cells = [cell for cell in cells if part_of(cell.name) == part and (cell.kind == "agent" or not missing)]
     failures = compute_cells(cells, out, workers=1)
     return 1 if failures or not {cell.name for cell in cells} <= {*Store(out).finished()} else 0
 

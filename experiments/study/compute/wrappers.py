@@ -91,11 +91,8 @@ def weighed(env: Env, pair: Mapping[str, Any]) -> Env:
     """The environment of a pair of agents: the weight of the second is its last column (pair: as in `grid.Cell`)."""
     inner: Any = env.unwrapped
     if pair["weight"] in ("belief", "shuffled"):
-        from agents.belief import (
-            BeliefObserved,
-            Estimator,
-            ShuffledObserved,
-        )  # here: not every command needs torch
+        # here: not every command needs torch
+        from agents.belief import BeliefObserved, Estimator, ShuffledObserved
 
         kind = BeliefObserved if pair["weight"] == "belief" else ShuffledObserved
         return kind(env, Estimator.load(file_of(pair["estimator_sha256"])), pair["rule"])

@@ -1,7 +1,7 @@
 """Write results/agents.npz: of each arm and setting of a study the agent with the first training seed.
 
     python -m experiments.study.replaying.publish results/sumo-second
-    python -m experiments.study.replaying.publish results/pairs --out results/pairs/agents.npz --every
+    python -m experiments.study.replaying.publish results/pairs --every     # results/pairs/agents.npz
 
 Agents of other settings that are in the file stay. Agents that observe the dose are left out.
 """
@@ -66,16 +66,17 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
 
 def main(
     directory: Annotated[Path, tyro.conf.Positional],
-    out: Path = pretrained.FILE,
+    out: Path | None = None,
     every: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
     """Write the file of agents.
 
     Args:
         directory: a study's results on SUMO.
-        out: the file.
+        out: the file; results/agents.npz, or with `every` agents.npz in the study's folder.
         every: the agents of all training seeds, as ARM-sSEED, with their weights in half precision.
     """
+    out = out or (directory / pretrained.FILE.name if every else pretrained.FILE)
     if not out.parent.is_dir():
         raise UserError(f"there is no folder {out.parent}: make it, or choose another file with --out")
     agents: dict[str, tuple[dict[str, Any], Greedy]] = {}

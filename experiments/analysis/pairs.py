@@ -35,13 +35,13 @@ def units(episodes: pd.DataFrame) -> pd.DataFrame:
     rows = episodes[episodes["traffic"].isin(TRAFFICS) & (episodes["tested_on"] == episodes["backend"])]
     tests = rows[(rows["kind"] == "test") & rows["arm"].isin(list(PAIRS))]
     agents = rows[(rows["kind"] == "agent") & rows["arm"].isin(SINGLE)]
-    firsts = tests.groupby(SETTING)["seed"].agg(["min", "max"]).reset_index()
-    agents = agents.merge(firsts, on=SETTING)
-    second = agents["seed"] > agents["max"]
-    agents = agents.assign(
-        arm="one-" + agents["arm"],
-        seed=agents["seed"] - second * (agents["max"] - agents["min"] + 1),
-    )
+    agents = agents.merge(tests[SETTING].drop_duplicates(), on=SETTING)
+    first, last = (
+        tests["seed"].min(),
+        tests["seed"].max(),
+    )  # of all settings: in one of them pairs can be missing
+    second = agents["seed"] > last
+    agents = agents.assign(arm="one-" + agents["arm"], seed=agents["seed"] - second * (last - first + 1))
     unit = [*SETTING, "arm", "traffic", "seed", "scenario"]
     both = pd.concat([tests, agents], ignore_index=True)
     numbers = both.select_dtypes(["number", "bool"]).columns.difference(unit)

@@ -76,6 +76,13 @@ class TestUnits:
         one = found.query(f"{place} and arm == 'one-treatment' and seed == 203")
         assert one["crashed"].tolist() == [both["crashed"].mean()] and len(both) == 2
 
+    def test_a_setting_without_its_last_pair_keeps_who_belongs_together(self, drives: pd.DataFrame) -> None:
+        """The fifth pair of the two-way road is not there: agent 205 is still 200's second, and not 201's."""
+        lost = (drives["task"] == "two-way") & drives["seed"].isin((204, 209))
+        there, whole = units(drives[~lost]), units(drives)
+        kept = whole[(whole["task"] != "two-way") | (whole["seed"] != 204)]
+        pd.testing.assert_frame_equal(there.reset_index(drop=True), kept.reset_index(drop=True))
+
     def test_pairs_that_are_not_complete_do_not_count(self, drives: pd.DataFrame) -> None:
         """Of the u-turn's third pair one test is missing, and of the highway's fourth an agent."""
         lost = (drives["task"] == "u-turn") & (drives["arm"] == "half") & (drives["seed"] == 202)

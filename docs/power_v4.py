@@ -7,6 +7,7 @@ analysis of the study (`experiments.analysis.estimate`). The belief pairs have t
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,7 +36,8 @@ class Case(NamedTuple):
     """What is assumed of the pairs, and how many there are.
 
     share: variance between pairs in that between agents. correlation: of a belief pair with its control pair, which
-    share an agent. by_pair: whether the analysis compares a belief pair with its control pair.
+    share an agent. by_pair: whether the analysis compares a belief pair with its control pair. fewer: how many pairs a
+    task has that has another number of them.
     """
 
     share: float = 1.0
@@ -43,6 +45,7 @@ class Case(NamedTuple):
     pairs: int = 5
     scenarios: int = 400
     by_pair: bool = False
+    fewer: Mapping[str, int] = {}
 
 
 CASES = (
@@ -52,6 +55,7 @@ CASES = (
     Case(share=4.0),
     Case(scenarios=800),
     Case(scenarios=800, by_pair=True),
+    Case(scenarios=800, by_pair=True, fewer={"two-way": 4}),
     Case(share=0.5, correlation=0.5, scenarios=800, by_pair=True),
     Case(pairs=10),
 )
@@ -92,7 +96,7 @@ def simulated(settings: dict[str, Parts], case: Case) -> pd.DataFrame:
     rng, rows = np.random.default_rng(0), []
     for run in range(RUNS):
         for task, p in settings.items():
-            first, second = drawn(p, case, rng)
+            first, second = drawn(p, case._replace(pairs=case.fewer.get(task, case.pairs)), rng)
             weighted = [(first - second, 1.0)] if case.by_pair else [(first, 1.0), (second, -1.0)]
             rows.append({"run": run, "task": task, **estimate.linear(weighted)._asdict()})
     frame = pd.DataFrame(rows)

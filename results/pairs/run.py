@@ -7,7 +7,7 @@ results/second-rest/run.py holds here: this file takes its process that saves fr
 and the weights of its own.
 
 With --part 0 and --part 1 two processes share a setting, each with a working folder of its own: agents and pairs of even
-and of odd training seeds. A pair needs agents of both: a part ends with its agents unless the other's are saved.
+and of odd training seeds. A pair needs agents of both: a part ends without the pairs of which an agent is not saved.
 
     python results/pairs/run.py --code WORKTREE --pack results/pairs
 
@@ -112,7 +112,8 @@ def compute(code: Path, setting: str, out: Path, part: int | None) -> int:
     Store(out).write_sweep(f"results/pairs/run.py, setting {setting}", cells)
     if part is not None:
         missing = {cell.name for cell in cells if cell.kind == "agent"} - {*Store(out).finished()}
-        cells = [cell for cell in cells if part_of(cell.name) == part and (cell.kind == "agent" or not missing)]
+        cells = [cell for cell in cells if part_of(cell.name) == part]
+        cells = [cell for cell in cells if cell.kind != "test" or not missing & {*cell.parents}]
     failures = compute_cells(cells, out, workers=1)
     return 1 if failures or not {cell.name for cell in cells} <= {*Store(out).finished()} else 0
 

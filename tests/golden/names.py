@@ -17,7 +17,17 @@ from experiments.sweep import Options, split_arguments
 
 FILE = Path(__file__).with_name("names.json")
 RESULTS = Path(__file__).resolve().parents[2] / "results"
-FOLDERS = ("second", "standard", "replica", "paper", "paper-v0", "linear", "first-clock", "crash-reward", "pairs")
+FOLDERS = (
+    "second",
+    "standard",
+    "replica",
+    "paper",
+    "paper-v0",
+    "linear",
+    "first-clock",
+    "crash-reward",
+    "pairs",
+)
 ARMS = "--arms control treatment mixed --frontier --unseen --test-on replica"
 # Settings of the second study that are not published: numbers of their levels by task.
 MISSING = {

@@ -36,8 +36,8 @@ class Case(NamedTuple):
     """What is assumed of the pairs, and how many there are.
 
     share: variance between pairs in that between agents. correlation: of a belief pair with its control pair, which
-    share an agent. by_pair: whether the analysis compares a belief pair with its control pair. fewer: how many pairs a
-    task has that has another number of them.
+    share an agent. by_pair: whether the analysis compares a belief pair with its control pair. fewer: the number of
+    pairs of a task where it is another.
     """
 
     share: float = 1.0

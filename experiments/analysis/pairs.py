@@ -36,10 +36,8 @@ def units(episodes: pd.DataFrame) -> pd.DataFrame:
     tests = rows[(rows["kind"] == "test") & rows["arm"].isin(list(PAIRS))]
     agents = rows[(rows["kind"] == "agent") & rows["arm"].isin(SINGLE)]
     agents = agents.merge(tests[SETTING].drop_duplicates(), on=SETTING)
-    first, last = (
-        tests["seed"].min(),
-        tests["seed"].max(),
-    )  # of all settings: in one of them pairs can be missing
+    # Of all settings: in one of them pairs can be missing.
+    first, last = tests["seed"].min(), tests["seed"].max()
     second = agents["seed"] > last
     agents = agents.assign(arm="one-" + agents["arm"], seed=agents["seed"] - second * (last - first + 1))
     unit = [*SETTING, "arm", "traffic", "seed", "scenario"]

@@ -207,9 +207,8 @@ def belief(analysis: Analysis, backend: str) -> pd.DataFrame:
     if rows.empty:
         return rows
     rows = pd.concat([chosen(analysis.price, backend=backend, arm="belief"), rows], ignore_index=True)
-    rows = pd.concat(
-        [rows[rows["scope"] == ALL_TASKS], rows[rows["scope"].isin(TASK_ORDER)]]
-    )  # the answer first
+    answers, tasks = rows[rows["scope"] == ALL_TASKS], rows[rows["scope"].isin(TASK_ORDER)]
+    rows = pd.concat([answers, tasks])  # columns are in this order
     rows = rows.assign(others=rows["against"].str.replace("one-", "").map(WHO_DRIVES))
 
     def cells(row: Mapping[str, Any]) -> dict[str, str]:

@@ -2,7 +2,8 @@
 
     python results/pairs/run.py --code WORKTREE --work FOLDER
 
-The same command goes on wherever it was stopped. What is said of signals, saving and commits in
+The same command goes on wherever it was stopped, if the saved single cells are there: they were removed when they were
+packed, and README.md says how to get them back. What is said of signals, saving and commits in
 results/second-rest/run.py holds here: this file takes its process that saves from there, and has cells, order, commit
 and the weights of its own.
 

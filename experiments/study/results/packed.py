@@ -22,7 +22,15 @@ from agents.checkpoint import open_regular
 from agents.schema import Wrong, check, parsed, shortened
 from experiments.study.results.schema import TEXT, check_columns, check_episodes, check_record
 from experiments.support.errors import UserError
-from experiments.support.files import is_name, made, read_json, sha256_bytes, sha256_file, write_file, write_json
+from experiments.support.files import (
+    is_name,
+    made,
+    read_json,
+    sha256_bytes,
+    sha256_file,
+    write_file,
+    write_json,
+)
 
 LAYOUT = 1  # of the tables; raise it with every change that older versions cannot read
 MANIFEST, CELLS, WEIGHTS = "packed.json", "cells.parquet", "weights"
@@ -119,7 +127,9 @@ def _read(path: Path, sums: tuple[str, ...]) -> pd.DataFrame:
         raise DamagedTable(path, "its checksum does not match")
     try:
         table = read_table(path)
-        check_columns(table, {"cell": TEXT, "record": TEXT}, ("cell", "record") if path.name == CELLS else ("cell",))
+        check_columns(
+            table, {"cell": TEXT, "record": TEXT}, ("cell", "record") if path.name == CELLS else ("cell",)
+        )
         check_episodes(path.name, table)
     except Wrong as error:
         raise DamagedTable(path, str(error)) from None

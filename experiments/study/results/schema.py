@@ -31,15 +31,29 @@ ACTIONS = 5
 COUNT = range(1_000_000_000)
 CONFIG = {"policy_frequency?": range(1, 1000)}  # of it alone the time of an episode depends
 KEY = {
-    **{"kind": ("agent", "baseline", "test"), "backend": tuple(SIMULATORS), "task": tuple(TASKS), "policy": str},
+    **{
+        "kind": ("agent", "baseline", "test"),
+        "backend": tuple(SIMULATORS),
+        "task": tuple(TASKS),
+        "policy": str,
+    },
     **{"arm": (None, *EVERY_ARM, *PAIRS), "profile": dict, "env_config": CONFIG, "dynamics": str | None},
     "eval": {"episodes": COUNT[1:], "gate_episodes": COUNT, "first_scenario?": COUNT},
 }
 TEST = {"backend": tuple(SIMULATORS), "traffics": [tuple(ALL)], "episodes": COUNT[1:], "env_config": CONFIG}
 PAIR = {"agents": [str], "weight": str, "rule?": [int | float], "estimator_sha256?": str}
-NUMBERS, OR_NONE = [int | float], [int | float | None]  # None: of a part of a training in which no episode has ended
+NUMBERS, OR_NONE = (
+    [int | float],
+    [int | float | None],
+)  # None: of a part of a training in which no episode has ended
 RECORD = {
-    **{"schema": (RESULT_SCHEMA,), "key": KEY, "versions": dict, "files": {EPISODES: str}, "provenance?": {"packages?": dict}},
+    **{
+        "schema": (RESULT_SCHEMA,),
+        "key": KEY,
+        "versions": dict,
+        "files": {EPISODES: str},
+        "provenance?": {"packages?": dict},
+    },
     "timing?": {"finished?": str, "train_seconds?": int | float, "test_seconds?": int | float},
     "learner?": {"curve?": {"step": NUMBERS, "return": OR_NONE, "crashed": OR_NONE}},
 }
@@ -77,7 +91,9 @@ COLUMNS = {
     "density": AMOUNT,  # other vehicles within 200 m, mean over the steps
     "stopped": Column("float64", 0, 1),  # share of the steps with less than 1 m/s
     **{f"action_{number}": COUNTED for number in range(ACTIONS)},  # how often each action was chosen
-    "crash_time": AMOUNT._replace(missing=True),  # [s] since the start; this and the following only with a crash
+    "crash_time": AMOUNT._replace(
+        missing=True
+    ),  # [s] since the start; this and the following only with a crash
     "crash_other": TEXT_OF_CRASH,
     "crash_x": OF_CRASH,  # [m] the ego's centre
     "crash_y": OF_CRASH,
@@ -105,7 +121,9 @@ IS_OF: dict[str, Callable[[Any], bool]] = {
 def check_record(name: str, record: Any) -> None:
     """That this can be cell.json of the cell of this name. Raises Wrong, which names the entry."""
     check(record, {"files": dict})
-    if odd := [name for name, digest in record["files"].items() if not (is_name(name) and isinstance(digest, str))]:
+    if odd := [
+        name for name, digest in record["files"].items() if not (is_name(name) and isinstance(digest, str))
+    ]:
         raise Wrong(f"it names files elsewhere: {odd[:3]}")
     check(record, RECORD)
     key = record["key"]

@@ -25,7 +25,9 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.study.design.grid import RESULT_SCHEMA, Cell, cell_name, setting
+from agents.checkpoint import open_regular
+from agents.schema import Wrong, check, parsed, shortened
+from experiments.study.design.grid import RESULT_SCHEMA, Cell, setting
 from experiments.study.results.packed import (
     MANIFEST,
     DamagedTable,
@@ -36,11 +38,16 @@ from experiments.study.results.packed import (
     packed_weights,
     read_table,
 )
-from experiments.study.results.schema import COLUMNS, EPISODES, GATES, check_episodes, check_record, check_rows
+from experiments.study.results.schema import (
+    COLUMNS,
+    EPISODES,
+    GATES,
+    check_episodes,
+    check_record,
+    check_rows,
+)
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
-from agents.checkpoint import open_regular
-from agents.schema import Wrong, check, parsed, shortened
 from experiments.support.files import (
     alone,
     made,

@@ -464,7 +464,7 @@ def variant(name: str, task: str) -> dict[str, float]:
 def validation(task: str | None = None) -> dict[str, int]:
     """How many checks of SUMO against highway-env there are (all), and how many are equivalent, within and missed."""
     verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
-    counts = pd.DataFrame({name: own["counts"] for name, own in verdict["tasks"].items()})
+    counts = pd.DataFrame({name: own["counts"] for name, own in verdict.items()})
     sums = (counts.sum(axis=1) if task is None else counts[task]).to_dict()
     passed = sums["equivalent"] + sums["within"]
     return {"all": passed + sums["missed"], "passed": passed, **sums}
@@ -481,7 +481,7 @@ def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dic
     verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
     wanted = {"level": level, "traffic": traffic, "name": name, "ego": ego}
     found: dict[str, float]
-    (found,) = (item for item in verdict["tasks"][task]["missed"] if wanted.items() <= item.items())
+    (found,) = (item for item in verdict[task]["missed"] if wanted.items() <= item.items())
     return found
 
 

@@ -3,7 +3,8 @@
 A margin says how far SUMO's traffic may be from highway-env's before a researcher would conclude something else. The
 margins were fixed before SUMO's drivers were validated with them, and are never fitted to results. A check is judged by
 its point estimate; *equivalent* is said only where the whole 90 % interval lies inside the margin (two one-sided tests
-at 5 %, Schuirmann 1987).
+at 5 %, Schuirmann 1987). Few scenarios miss a margin by noise alone: a quick run calls a check *missed* only where the
+whole interval lies outside of the margin, and *not decided* where the estimate alone does.
 
 Two simulators are compared on the same scenarios. The scenario is the unit: the egos that were driven through one are
 averaged first, so that intervals (by Student's t) do not pretend that they are independent. At the intersection, where
@@ -33,6 +34,8 @@ Check = dict[str, Any]
 # "high", NaN without one), and the number of scenarios ("n").
 Difference = dict[str, float]
 LEAST_SCENARIOS = 3  # with fewer there is no verdict
+# The interval is within the margin, the estimate is, neither is; in a quick run: the interval is on both sides of it.
+VERDICTS = ("equivalent", "within", "missed", "not decided")
 # Engines in a table of episodes: the compared simulator, highway-env by its replica, and highway-env itself.
 SUMO, REFERENCE, TRUTH = "sumo", "reference", "highway-env"
 # The replica in other variants, by what differs.
@@ -120,25 +123,31 @@ def headway_distance(both: pd.DataFrame) -> Difference:
     return {**found, "low": low, "high": high, "n": len(a)}
 
 
-def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[list[str], int]:
+def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[dict[str, bool], int]:
     """Pairs of egos that the first simulator puts in the opposite order, among those that the second decides.
 
-    A pair is decided if the 95 % interval of its difference over scenarios excludes 0. Returns the reversed pairs as
-    "one / other" and the number of decided ones.
+    A simulator decides a pair if the 95 % interval of its difference over scenarios excludes 0. Returns the reversed
+    pairs as "one / other", each with whether the first simulator decides it too, and the number of decided ones.
     """
     tables = [
         both.pivot(index="scenario", columns="ego", values=f"{measure}_{side}").astype(float) for side in "ab"
     ]
-    turned, decided = [], 0
+    turned: dict[str, bool] = {}
+    count = 0
     for one, other in combinations(tables[1].columns, 2):
-        reference = (tables[1][one] - tables[1][other]).dropna().to_numpy()
-        low, high = interval(reference, 0.95)
-        if len(reference) < 3 or low <= 0 <= high:
+        own, reference = ((table[one] - table[other]).dropna().to_numpy() for table in tables)
+        if not decided(reference):
             continue
-        decided += 1
-        if float((tables[0][one] - tables[0][other]).mean()) * float(reference.mean()) < 0:
-            turned.append(f"{one} / {other}")
-    return turned, decided
+        count += 1
+        if float(own.mean()) * float(reference.mean()) < 0:
+            turned[f"{one} / {other}"] = decided(own)
+    return turned, count
+
+
+def decided(differences: Floats) -> bool:
+    """Whether the 95 % interval of the mean excludes 0."""
+    low, high = interval(differences, 0.95)
+    return len(differences) >= LEAST_SCENARIOS and not low <= 0 <= high
 
 
 def differing(both: pd.DataFrame) -> pd.DataFrame:
@@ -168,16 +177,21 @@ def difference(metric: str, both: pd.DataFrame) -> Difference:
     return mean_difference(both, metric)
 
 
-def verdict(found: Difference, bound: float) -> str | None:
-    """equivalent (the whole interval is within the margin), within, missed, or None if nothing can be said."""
+def verdict(found: Difference, bound: float, by_interval: bool = False) -> str | None:
+    """One of VERDICTS, or None if nothing can be said.
+
+    Args:
+        by_interval: where the estimate is outside of the margin and the interval is not, the check is not decided.
+    """
     if not math.isfinite(bound) or not math.isfinite(found["difference"]) or found["n"] < LEAST_SCENARIOS:
         return None
     if abs(found["difference"]) > bound + 1e-9:
-        return "missed"
+        outside = found["low"] > bound or found["high"] < -bound
+        return "missed" if outside or not by_interval else "not decided"
     return "equivalent" if -bound <= found["low"] and found["high"] <= bound else "within"
 
 
-def level_checks(rows: pd.DataFrame, task: str, traffic: str) -> list[Check]:
+def level_checks(rows: pd.DataFrame, task: str, traffic: str, by_interval: bool = False) -> list[Check]:
     """All checks of one task, level and traffic: those with a margin first.
 
     Each has a metric, name, unit, ego and note, a `Difference`, its margin and verdict, and the differences of VARIANTS
@@ -185,13 +199,14 @@ def level_checks(rows: pd.DataFrame, task: str, traffic: str) -> list[Check]:
 
     Args:
         rows: the episodes of all engines.
+        by_interval: of `verdict`.
     """
     found = []
 
     def add(metric: str, own: Difference, **labels: Any) -> None:
         bound = margin(metric, task, traffic, own["reference"])
         labels = {"metric": metric, "name": "", "unit": "", "ego": "", "note": "", **labels}
-        found.append({**labels, **own, "margin": bound, "verdict": verdict(own, bound)})
+        found.append({**labels, **own, "margin": bound, "verdict": verdict(own, bound, by_interval)})
 
     every = pairs(rows, SUMO, REFERENCE)
     core = every[every["ego"].isin(CORE)]
@@ -204,10 +219,11 @@ def level_checks(rows: pd.DataFrame, task: str, traffic: str) -> list[Check]:
         add("crashed_ego", mean_difference(own, "crashed"), name="crash rate", ego=ego)
         add("return_ego", mean_difference(own, "return"), name="return", ego=ego)
     for measure, name in (("return", "return"), ("crashed", "crash rate")):
-        turned, decided = reversed_pairs(every, measure)
-        order: Difference = {"sumo": decided - len(turned), "reference": decided, "difference": -len(turned)}
-        order |= {"low": math.nan, "high": math.nan, "n": every["scenario"].nunique()}
-        labels = {"name": f"pairs of egos in the same order, by {name}", "unit": f"of {decided} decided"}
+        turned, count = reversed_pairs(every, measure)
+        order: Difference = {"sumo": count - len(turned), "reference": count, "difference": -len(turned)}
+        clearly = -sum(turned.values())  # by chance alone one or another pair of like egos is reversed
+        order |= {"low": math.nan, "high": clearly, "n": every["scenario"].nunique()}
+        labels = {"name": f"pairs of egos in the same order, by {name}", "unit": f"of {count} decided"}
         add("order", order, **labels, note=f"reversed: {', '.join(turned)}" if turned else "")
     return sorted((item for item in found if item["n"]), key=lambda item: item["verdict"] is None)
 
@@ -227,16 +243,17 @@ def replica_checks(table: pd.DataFrame) -> dict[str, Any]:
     return tasks
 
 
-def scorecard(table: pd.DataFrame) -> list[Check]:
+def scorecard(table: pd.DataFrame, by_interval: bool = False) -> list[Check]:
     """All checks, one after the other, with their task, traffic and the name of their level, as plain JSON values.
 
     Args:
         table: the episodes of all engines.
+        by_interval: of `verdict`.
     """
     found = pd.DataFrame(
         {"task": task, "traffic": traffic, "level": level_names(task)[level - 1], **item}
         for (task, traffic, level), rows in table.groupby(["task", "traffic", "level"])
-        for item in level_checks(rows, task, traffic)
+        for item in level_checks(rows, task, traffic, by_interval)
     )
     rows: list[Check] = json.loads(found.to_json(orient="records"))  # no number is null
     return rows
@@ -249,7 +266,7 @@ def summary(checks: Sequence[Check], tasks: Iterable[str]) -> dict[str, Any]:
     for task in tasks:
         own = [item for item in checks if item["task"] == task]
         verdicts = [item["verdict"] for item in own]
-        counts = {word: verdicts.count(word) for word in ("equivalent", "within", "missed")}
+        counts = {word: verdicts.count(word) for word in VERDICTS}
         missed = [{key: item[key] for key in keys} for item in own if item["verdict"] == "missed"]
         passed = not missed if sum(counts.values()) else None
         result[task] = {"passed": passed, "counts": counts, "missed": missed}

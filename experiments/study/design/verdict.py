@@ -22,14 +22,14 @@ def verdicts(cells: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
     cells: cell.json of each, on SUMO.
     """
-    stored = read_json(STORED)
-    known, found = stored["fingerprints"], {}
+    stored, found = read_json(STORED), {}
     for cell in cells:
         task = cell["key"]["task"]
+        own = stored.get(task, {"fingerprint": None})
         if (
-            cell["key"]["dynamics"] != known.get(task)
-            or not stored["versions"].items() <= cell["versions"].items()
+            cell["key"]["dynamics"] != own["fingerprint"]
+            or not own["versions"].items() <= cell["versions"].items()
         ):
             return {}
-        found[task] = stored["tasks"][task]
+        found[task] = own
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,41 @@ def by_metric(table: pd.DataFrame, task: str = "u-turn", traffic: str = "regular
 )
 def test_verdict(difference: float, low: float, high: float, verdict: str) -> None:
     assert checks.verdict({"difference": difference, "low": low, "high": high, "n": 10}, MARGIN) == verdict
+
+
+@pytest.mark.parametrize(
+    ("difference", "low", "high", "verdict"),
+    [
+        (0.5, 0.1, 0.9, "equivalent"),
+        (0.5, -0.5, 1.5, "within"),
+        (-1.5, -2.0, -1.0, "not decided"),  # a part of the interval is within the margin
+        (-1.5, -2.0, -1.1, "missed"),
+        (1.5, 1.1, 2.0, "missed"),
+        (1.5, np.nan, np.nan, "not decided"),
+    ],
+)
+def test_a_quick_run_says_missed_only_of_a_whole_interval(
+    difference: float, low: float, high: float, verdict: str
+) -> None:
+    found = {"difference": difference, "low": low, "high": high, "n": 10}
+    assert checks.verdict(found, MARGIN, by_interval=True) == verdict
+
+
+def test_noise_of_few_scenarios_misses_nothing_in_a_quick_run() -> None:
+    """Two simulators of the same law: by 20 scenarios about every tenth margin seems to be missed, none clearly."""
+    verdicts: dict[bool, Counter[str]] = {False: Counter(), True: Counter()}
+    for seed in range(20):
+        noise = np.random.default_rng(seed)
+        other = episodes("sumo", n=20, crashed=lambda *_, noise=noise: bool(noise.random() < 0.4))
+        truth = episodes(REFERENCE, n=20, crashed=lambda *_, noise=noise: bool(noise.random() < 0.4))
+        table = pd.concat([other, truth], ignore_index=True)
+        for by_interval, counts in verdicts.items():
+            found = checks.level_checks(table, "u-turn", "regular", by_interval)
+            counts.update(
+                item["verdict"] for item in found if item["metric"] in ("crashed", "crashed_ego", "order")
+            )
+    assert verdicts[False]["missed"] > 20 > 3 >= verdicts[True]["missed"]
+    assert verdicts[True]["not decided"] + verdicts[True]["missed"] == verdicts[False]["missed"]
 
 
 @pytest.mark.parametrize(("n", "margin"), [(50, np.nan), (2, MARGIN)])
@@ -163,7 +199,13 @@ def test_order_counts_decided_pairs_only() -> None:
     }
     turned, decided = checks.reversed_pairs(both(values), "return")
     assert decided == 2
-    assert sorted(turned) == ["faster / idle", "faster / slower"]
+    # The means of the first simulator are opposite in both pairs; it decides these pairs, too.
+    assert turned == {"faster / idle": True, "faster / slower": True}
+    values["slower"] = [(1.0, 0.5), (1.0, 1.5), (-1.6, 1.0)]  # now its interval holds 0
+    assert checks.reversed_pairs(both(values), "return") == (
+        {"faster / idle": True, "faster / slower": False},
+        2,
+    )
 
 
 def test_an_episode_is_the_same_if_it_ends_alike() -> None:

@@ -2,12 +2,14 @@
 
 `Estimator` reads the vehicles that `agents.rules.perception` follows from one table to the next, one by one, and
 remembers what it has read. It is trained on episodes whose dose is known (`fit`) and needs none afterwards.
-`Weighed` averages the Q-values of two trained agents (QMDP: Littman, Cassandra and Kaelbling 1995); their weight is a
-column of the observation, which one of the wrappers adds: the estimate, the estimate of another episode, or any number.
+`Weighed` averages the Q-values of two trained agents (QMDP: Littman, Cassandra and Kaelbling 1995), `MoreCareful` takes
+the action of one of them. Both read a column of the observation, which one of the wrappers adds: the estimate, the
+estimate of another episode, or any number.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 from itertools import chain, repeat
 from pathlib import Path
@@ -154,14 +156,11 @@ class ShuffledObserved(Observed):
 class Weighed:
     """The action of highest (1 - w) Q1 + w Q2, where w is the last column of the ego's row and neither agent's own.
 
-    The agents' weights are rounded to half precision, in which they are published.
+    The agents' weights are rounded to half precision, in which they are published; the agents given stay as they are.
     """
 
     def __init__(self, first: Greedy, second: Greedy) -> None:
-        self._agents = first, second
-        for agent in self._agents:
-            for value in agent.network.state_dict().values():
-                value.copy_(value.half())
+        self._agents = in_half_precision(first), in_half_precision(second)
 
     def act(self, observation: np.ndarray) -> int:
         """The action. Raises ValueError when its value is no finite number."""
@@ -171,3 +170,44 @@ class Weighed:
 
     def reset(self, seed: int | None = None) -> None:
         """Nothing to do: what changes is observed."""
+
+
+class MoreCareful:
+    """The first agent's action at a low belief, the second's at a high one, and the more careful of both between.
+
+    The belief is the last column of the ego's row and neither agent's own. No values are averaged, so that their scales
+    do not matter. Weights are rounded as in `Weighed`.
+
+    by_caution: the actions, the most careful first. unsure: from which belief to which the more careful action is taken,
+        the ends included.
+    """
+
+    def __init__(
+        self,
+        first: Greedy,
+        second: Greedy,
+        by_caution: Sequence[int],
+        unsure: tuple[float, float] = (0.2, 0.8),
+    ) -> None:
+        self._agents = in_half_precision(first), in_half_precision(second)
+        self._by_caution, self._unsure = by_caution, unsure
+
+    def act(self, observation: np.ndarray) -> int:
+        """The action. Raises ValueError when its value is no finite number."""
+        belief, table = float(observation[0, -1]), observation[:, :-1]
+        first, second = (agent.act(table) for agent in self._agents)
+        low, high = self._unsure
+        if low <= belief <= high:
+            return min(first, second, key=self._by_caution.index)
+        return first if belief < low else second
+
+    def reset(self, seed: int | None = None) -> None:
+        """Nothing to do: what changes is observed."""
+
+
+def in_half_precision(agent: Greedy) -> Greedy:
+    """The same agent with rounded weights."""
+    network = copy.deepcopy(agent.network)
+    for value in network.state_dict().values():
+        value.copy_(value.half())
+    return type(agent)(network)

@@ -66,6 +66,8 @@ NAMES = {
     (False, True): {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT"},
     (False, False): {0: "IDLE"},
 }
+# The most careful first: braking, staying as one is, keeping to the right, hurrying, and overtaking.
+CAUTION = ("SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT")
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,11 @@ class DiscreteMetaAction:
     def space(self) -> spaces.Discrete:
         """The action space."""
         return spaces.Discrete(len(self.names))
+
+    @property
+    def by_caution(self) -> tuple[int, ...]:
+        """Its actions, the most careful first."""
+        return tuple(sorted(self.names, key=lambda action: CAUTION.index(self.names[action])))
 
     def command(self, action: Any, moment: Moment) -> EgoCommand:
         """The target speed and target lane after a meta-action; ValueError if there is no such one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from agents.belief import (
     VEHICLE,
     BeliefObserved,
     Estimator,
+    MoreCareful,
     ShuffledObserved,
     Weighed,
     features,
@@ -176,10 +178,12 @@ class TestWeighed:
         assert pair.act(table) == action
 
     def test_the_agents_are_those_that_are_published(self) -> None:
-        network = Fixed(0.1, 0.2, 0.3)
-        Weighed(Greedy(network), Greedy(Fixed(0.1, 0.2, 0.3)))
-        assert network.values.dtype == torch.float32
-        assert network.values.tolist() == torch.tensor([0.1, 0.2, 0.3]).half().float().tolist()
+        """In half precision 1 and 1.0001 are one number, and the first action is taken."""
+        network = Fixed(1.0, 1.0001, 0.3)
+        table = np.ones((2, 6), np.float32)
+        assert Greedy(network).act(table[:, :-1]) == 1
+        assert Weighed(Greedy(network), Greedy(network)).act(table) == 0
+        assert network.values.tolist() == torch.tensor([1.0, 1.0001, 0.3]).tolist()  # of the agent itself
 
     def test_compiled_agents_act_as_others(self) -> None:
         space = gym.spaces.Box(-1, 1, (4, 5), np.float32)
@@ -193,3 +197,31 @@ class TestWeighed:
         pair = Weighed(Greedy(Fixed(1.0, 0.9)), Greedy(Fixed(float("nan"), 0.9)))
         with pytest.raises(ValueError, match="not a finite number"):
             pair.act(np.ones((2, 6), np.float32))
+
+
+class TestMoreCareful:
+    BY_CAUTION = (2, 1, 0)
+
+    def pair(self, first: int, second: int, **options: Any) -> MoreCareful:
+        """Of agents that prefer these actions."""
+        agents = (Greedy(Fixed(*(float(action == own) for action in range(3)))) for own in (first, second))
+        return MoreCareful(*agents, self.BY_CAUTION, **options)
+
+    @pytest.mark.parametrize(
+        ("belief", "action"), [(0.0, 0), (0.19, 0), (0.21, 1), (0.5, 1), (0.79, 1), (0.81, 1), (1.0, 1)]
+    )
+    def test_while_the_belief_is_unsure_the_more_careful_action_is_taken(
+        self, belief: float, action: int
+    ) -> None:
+        env = Observed(make_env("sumo", "u-turn"), lambda _: belief)
+        table, _ = env.reset(seed=0)
+        assert self.pair(0, 1).act(table) == action
+        assert self.pair(1, 0).act(table) == (0 if belief > 0.8 else 1)  # the second agent dares more
+
+    @pytest.mark.parametrize("belief", [0.0, 0.5, 1.0])
+    def test_a_pair_can_be_careful_always(self, belief: float) -> None:
+        table = np.full((2, 6), belief, np.float32)
+        table[:, 0] = 1
+        for first, second in product(range(3), repeat=2):
+            chosen = self.pair(first, second, unsure=(0.0, 1.0)).act(table)
+            assert self.BY_CAUTION.index(chosen) == min(map(self.BY_CAUTION.index, (first, second)))

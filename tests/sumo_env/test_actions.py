@@ -5,10 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.controller import MDPVehicle
 
-from sumo_env.actions import ego_route, follow_road, target_lane, target_speed_index
+from sumo_env.actions import (
+    NAMES,
+    DiscreteMetaAction,
+    ego_route,
+    follow_road,
+    target_lane,
+    target_speed_index,
+)
 from sumo_env.networks.roads import highway, intersection, u_turn
 from tests.sumo_env.scenarios import draw
 
@@ -33,6 +41,14 @@ def test_target_speeds_and_lanes_equal_highway_env_s() -> None:
         changed += lane != before
         assert (index, lane) == (theirs.speed_index, theirs.target_lane_index), name
     assert changed > 50
+
+
+@pytest.mark.parametrize("names", NAMES.values())
+def test_actions_are_known_by_caution(names: dict[int, str]) -> None:
+    ordered = [names[action] for action in DiscreteMetaAction(names, SPEEDS).by_caution]
+    assert ordered == [
+        name for name in ("SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT") if name in names.values()
+    ]
 
 
 def test_the_target_lane_follows_the_road() -> None:

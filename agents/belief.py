@@ -178,8 +178,8 @@ class MoreCareful:
     The belief is the last column of the ego's row and neither agent's own. No values are averaged, so that their scales
     do not matter. Weights are rounded as in `Weighed`.
 
-    by_caution: the actions, the most careful first. unsure: from which belief to which the more careful action is taken,
-        the ends included.
+    by_caution: the actions, the most careful first. unsure: the more careful action is taken from the first of these
+        beliefs to the second.
     """
 
     def __init__(

@@ -204,8 +204,8 @@ class TestMoreCareful:
 
     def pair(self, first: int, second: int, **options: Any) -> MoreCareful:
         """Of agents that prefer these actions."""
-        agents = (Greedy(Fixed(*(float(action == own) for action in range(3)))) for own in (first, second))
-        return MoreCareful(*agents, self.BY_CAUTION, **options)
+        one, two = (Greedy(Fixed(*(float(action == own) for action in range(3)))) for own in (first, second))
+        return MoreCareful(one, two, self.BY_CAUTION, **options)
 
     @pytest.mark.parametrize(
         ("belief", "action"), [(0.0, 0), (0.19, 0), (0.21, 1), (0.5, 1), (0.79, 1), (0.81, 1), (1.0, 1)]

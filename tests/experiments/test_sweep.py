@@ -19,16 +19,16 @@ import pytest
 
 from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.cells import comparable
-from experiments.study.compute import train
 from experiments.study.compute.run import Attempt, attempt
 from experiments.study.design import grid
+from experiments.study.design.arms import TEST
 from experiments.study.design.experiment import shard
 from experiments.study.results import store
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
-from tests.experiments.fake_env import make_env
+from tests.experiments.fake_env import FakeEnv, make_env
 from tests.processes import ROOT, children, is_alive, python, python_again, started, wait_for
 
 
@@ -120,24 +120,28 @@ def test_cells_say_what_they_are_and_where_they_come_from(reference):
     assert len({record["files"]["weights.npz"] for record in agents}) == len(agents)
 
 
-def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeypatch, capsys, here):
-    usual = train.train_cell
+def test_an_agent_that_diverges_fails_alone_is_named_and_is_tried_once(
+    reference, tmp_path, monkeypatch, capsys, here
+):
+    usual = FakeEnv.step
 
-    def failing(cell, *arguments):
-        if cell.arm == "treatment":
-            raise RuntimeError("it was told to fail")
-        return usual(cell, *arguments)
+    def failing(env, action):
+        if (
+            env.config["risk"] == 1.0 and env.met[-1][0] < TEST and env.time == 2
+        ):  # in the training of one arm
+            raise ValueError("the values are no finite numbers")
+        return usual(env, action)
 
     with monkeypatch.context() as patch:
-        patch.setattr(train, "train_cell", failing)
+        patch.setattr(FakeEnv, "step", failing)
         assert run(tmp_path) == 1
         log = next(tmp_path.glob("work/*/log.txt"))
-        with pytest.raises(RuntimeError, match="told to fail"):
+        with pytest.raises(ValueError, match="no finite numbers"):  # the command shows its traceback
             run(tmp_path, cell=log.parent.name)
     errors = capsys.readouterr().err
-    for words in ("told to fail", str(log), f"--cell {log.parent.name}"):
+    for words in ("no finite numbers", str(log), f"--cell {log.parent.name}"):
         assert words in errors
-    assert log.read_text().count("Traceback") == 4
+    assert log.read_text().count("Traceback") == 1
     results = load(tmp_path)
     assert len(results.cells) == 7
     assert [name.rpartition("-")[0] for name in results.failed] == ["sumo-u-turn-3-treatment-s0"]

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from experiments.study.compute.run import RETRIES, Observer, Task
+from experiments.study.compute.run import Observer, Task
 from experiments.study.design.grid import Cell
 from experiments.study.results.working import fraction_done
 
@@ -59,8 +59,7 @@ class ProgressDisplay(Observer):
         """A task is in another state now."""
         self._state[task.name] = state
         if words:
-            end = f"; given up after {RETRIES} retries" if state == "failed" else ""
-            print(f"{self._over}{task.name}: {words}{end}", flush=True)
+            print(f"{self._over}{task.name}: {words}", flush=True)
 
     def tick(self) -> None:
         """Show how much is done; without a terminal, now and then."""

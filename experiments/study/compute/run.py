@@ -1,4 +1,4 @@
-"""Compute tasks wherever an executor has processes: each once, tried again when it dies, hangs or fails.
+"""Compute tasks wherever an executor has processes: each once, tried again when its process dies or hangs.
 
 A task is plain data (`Task`); nothing here knows what it computes, nor more of an executor than
 `concurrent.futures.Executor`. The runner and the process that computes meet in the task's working folder
@@ -28,14 +28,18 @@ from filelock import FileLock, Timeout
 from experiments.study.results.working import LOCK, LOG, PROGRESS, last_words
 from experiments.support.errors import UserError, disk_error
 from experiments.support.files import made, not_followed
+from sumo_env.simulator import SimulatorError
 
-RETRIES = 3  # a task that goes wrong is begun again at most so often
-# Exit status of a process that faulthandler ends, and of one that must not be used again.
-HUNG, SPOILT = 1, 70
+RETRIES = 3  # a task that is lost is begun again at most so often
+# Exit status of a process that faulthandler ends, and of one that must not be used again, by how its task ended.
+HUNG, SPOILT = 1, {"lost": 70, "failed": 71}
 POLL = 0.5  # [s] between two looks at the running tasks, and between two writes of progress.json
 RECHECK = 2.0  # [s] that a process waits for a task that another run computes
 # An error of these kinds awaits every task: the run stops instead of trying again.
 DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ELOOP}
+
+# Errors that come from around a task. It computes the same in each try, so any other one would only come again.
+SURROUNDINGS = (OSError, EOFError, MemoryError, SimulatorError)
 
 Heartbeat = Callable[[float], None]
 
@@ -65,11 +69,11 @@ class Task(Protocol):
 class Attempt:
     """How a try ended.
 
-    state: "done"; "elsewhere" if another process computes this task; "failed", to be tried again; "fatal" if nothing
-    else can succeed either, and `reason` is for the user.
+    state: "done"; "elsewhere" if another process computes this task; "lost", to be tried again; "failed", as it would
+    again; "fatal" if nothing else can succeed either, and `reason` is for the user.
     """
 
-    state: Literal["done", "elsewhere", "failed", "fatal"]
+    state: Literal["done", "elsewhere", "lost", "failed", "fatal"]
     reason: str = ""
 
 
@@ -107,7 +111,8 @@ def attempt(task: Task) -> Attempt:
         if isinstance(error, OSError) and error.errno in DISK:
             return Attempt("fatal", str(disk_error(error, task.folder)))
         log(task.folder, "".join(traceback.format_exception(error)))
-        return Attempt("failed", f"{type(error).__name__}: {error}".partition("\n")[0])
+        reason = f"{type(error).__name__}: {error}".partition("\n")[0]
+        return Attempt("lost" if isinstance(error, SURROUNDINGS) else "failed", reason)
 
 
 def compute_here(task: Task) -> None:
@@ -211,7 +216,7 @@ def run(
             for future in wait(running, POLL, FIRST_COMPLETED).done:
                 task = running.pop(future)
                 ended = _ending(task, future)
-                tries[task.name] += ended.state == "failed"
+                tries[task.name] += ended.state == "lost"
                 if ended.state == "fatal":
                     raise UserError(ended.reason)
                 if ended.state == "done":
@@ -219,13 +224,14 @@ def run(
                 elif ended.state == "elsewhere":
                     waiting.append(task)
                     observer.tell(task, "in another run")
-                elif tries[task.name] <= RETRIES:
+                elif ended.state == "lost" and tries[task.name] <= RETRIES:
                     waiting.appendleft(task)
                     again = f"retry {tries[task.name]} of {RETRIES}"
                     observer.tell(task, "waiting", f"{ended.reason}, see {task.folder / LOG}; {again}")
                 else:
                     failures[task.name] = ended.reason
-                    observer.tell(task, "failed", ended.reason)
+                    why = "it would again" if ended.state == "failed" else f"given up after {RETRIES} retries"
+                    observer.tell(task, "failed", f"{ended.reason}; {why}")
             observer.tick()
     except BaseException:  # a signal of the user's, too
         executor.shutdown(wait=False, cancel_futures=True)
@@ -254,8 +260,8 @@ def _ending(task: Task, future: Future[Attempt]) -> Attempt:
     code = getattr(error, "exitcode", None)  # pebble's ProcessExpired
     if code is None:
         reason = str(error).partition("\n")[0] or "its process was lost"  # an executor's own words
-    elif code == SPOILT:
-        return Attempt("failed", last_words(task.folder) or "it failed")
+    elif code in SPOILT.values():
+        return Attempt("lost" if code == SPOILT["lost"] else "failed", last_words(task.folder) or "it failed")
     elif code == HUNG:
         reason = f"it hung: no sign of life for {task.silence:.0f} s"
     elif code < 0:
@@ -264,4 +270,4 @@ def _ending(task: Task, future: Future[Attempt]) -> Attempt:
     else:
         reason = f"its process ended with exit status {code}"
     log(task.folder, reason)
-    return Attempt("failed", reason)
+    return Attempt("lost", reason)

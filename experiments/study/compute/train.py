@@ -41,14 +41,15 @@ def train_cell(
 
     Raises:
         CheckpointError: the checkpoint is damaged.
-        UserError: settings, network or learner do not fit.
+        UserError: the user's file is not named, not there or has changed, or a setting makes no sense.
         OSError: the checkpoint cannot be written.
     """
     learner, settings = learner_of(cell.key(), cell.source)
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
-    with ExitStack() as opened, in_words():
-        if cell.source is not None:
+    if cell.source is not None:
+        with in_words():
             check(cell.source, cell.profile)
+    with ExitStack() as opened:  # an error in there is of this training alone
         trained = learner.train(
             partial(environments, cell, make_env, seed, opened),
             settings,

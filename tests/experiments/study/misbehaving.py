@@ -85,6 +85,10 @@ def _fail() -> None:
     raise ValueError("it was told to fail")
 
 
+def _lose() -> None:
+    raise OSError("the surroundings fail")
+
+
 def _refuse() -> None:
     raise UserError("put this right first")
 
@@ -96,5 +100,6 @@ FAULTS = {
     "hold": _hold_everything,
     "deadlock": _deadlock,
     "fail": _fail,
+    "lose": _lose,
     "refuse": _refuse,
 }

@@ -74,7 +74,7 @@ def test_ray_computes_and_retries_on_a_cluster_of_its_own(tmp_path, ray):
     tasks = [
         Sum("good", tmp_path),
         Sum("dies", tmp_path, fault="segfault", times=1),
-        Sum("fails", tmp_path, fault="fail", times=1),
+        Sum("fails", tmp_path, fault="lose", times=1),
     ]
     failures = run(tasks, *open_executor("ray", 2, tmp_path, 25), Witness())
     assert failures == {}

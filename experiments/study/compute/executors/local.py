@@ -115,6 +115,6 @@ def _sigmask(how: str, signals: Iterable[int]) -> set[int]:
 def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     result = function(*args, **kwargs)
     # After an error nobody knows in what state a simulator is: the next try gets a fresh process.
-    if isinstance(result, Attempt) and result.state == "failed":
-        os._exit(SPOILT)
+    if isinstance(result, Attempt) and result.state in SPOILT:
+        os._exit(SPOILT[result.state])
     return result

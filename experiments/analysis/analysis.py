@@ -17,12 +17,14 @@ from scipy.stats import binom
 from agents.rules import POLICIES
 from experiments.analysis import pairs
 from experiments.analysis import plan as plans
+from experiments.analysis.by_task import OWN, by_task
 from experiments.analysis.cells import comparable, incomplete, is_main, leave_out, unfinished
 from experiments.analysis.claims import claims, price
 from experiments.analysis.effects import KEY, WORKING_COLUMNS, adjusted, contrasts, decided, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
+from experiments.analysis.influence import influence
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import SETTING, arms_of, in_order, with_outcomes
 from experiments.study.design.arms import ARMS, EXTRA_ARMS, PAIRS
@@ -51,6 +53,7 @@ class Analysis:
     effects, means: of all comparisons (arm, against; tested_on; scenarios). plan, plan_hash: see `plan.as_data`. notes:
     missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their reasons. price, learner
     (see `gates.learner_checks`): empty where the plan does not ask for them. frontier: see `frontier.to_frontier`.
+    by_task: see `by_task.by_task`. influence: see `influence.influence`; empty without pairs.
     """
 
     effects: pd.DataFrame
@@ -67,6 +70,8 @@ class Analysis:
     price: pd.DataFrame = field(default_factory=pd.DataFrame)
     learner: pd.DataFrame = field(default_factory=pd.DataFrame)
     frontier: pd.DataFrame = field(default_factory=pd.DataFrame)
+    by_task: pd.DataFrame = field(default_factory=pd.DataFrame)
+    influence: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analysis:
@@ -87,7 +92,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         lacking = "; ".join(f"{setting}: {reason}" for setting, reason in early.items())
         raise UserError(f"no setting is complete yet ({lacking}): run the sweep again to go on")
     outcomes = {**OUTCOMES, **(own or {})}
-    episodes = with_outcomes(known, outcomes)
+    episodes = with_outcomes(known, {**OWN, **outcomes})
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
 
@@ -136,6 +141,8 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         price=price(effects, plan),
         learner=learner_checks(known.cells, passed, agents, plan),
         frontier=to_frontier(episodes),
+        by_task=by_task(episodes),
+        influence=influence(episodes, plan),
     )
 
 

@@ -18,9 +18,10 @@ from experiments.analysis.analysis import CRASHES, analyse
 from experiments.analysis.claims import CONTRADICTED, HOLDS, price
 from experiments.analysis.effects import contrasts
 from experiments.analysis.gates import THRESHOLDS
+from experiments.analysis.influence import influence
 from experiments.analysis.pairs import COMPARED, units
 from experiments.analysis.plan import FOURTH as PLAN
-from experiments.analysis.plan import Bound, as_data, plan_of
+from experiments.analysis.plan import SECOND, Bound, as_data, plan_of
 from experiments.analysis.scores import arms_of
 from experiments.reporting import tables
 from experiments.study.design.arms import PAIRS
@@ -133,6 +134,36 @@ class TestQuestions:
     def test_what_was_planted_is_found(self, belief: tuple[float, float], verdicts: set[str]) -> None:
         found = price(judged(episodes(belief, 400)), PLAN).query("scope == 'all tasks'")
         assert {*found["verdict"]} == verdicts and len(found) == len(PLAN.price)
+
+
+class TestInfluence:
+    """Does an answer hang on one pair?"""
+
+    def test_a_row_is_the_bound_of_the_episodes_without_that_pair(self, drives: pd.DataFrame) -> None:
+        found = influence(drives, PLAN)
+        assert len(found) == HALF * len(PLAN.settings) * len(PLAN.price)
+        kept = units(drives)
+        kept = kept[(kept["task"] != "two-way") | (kept["seed"] != 203)]
+        alone = contrasts(arms_of(kept), dict.fromkeys(COMPARED, CRASHES))
+        expected = price(alone, PLAN).query("scope == 'all tasks'")
+        row = found.query("left_task == 'two-way' and left_seed == 203")[expected.columns]
+        row = row.set_index("against").loc[expected["against"]].reset_index()[expected.columns]
+        pd.testing.assert_frame_equal(row.reset_index(drop=True), expected.reset_index(drop=True))
+
+    def test_a_pair_that_hides_the_answer_is_found(self, drives: pd.DataFrame) -> None:
+        """One pair of the highway that never crashes: without it the belief is as bad as planted."""
+        bad = episodes((0.3, 0.5), 400)
+        odd = (bad["task"] == "highway") & (bad["arm"] == "belief") & (bad["seed"] == 201)
+        found = influence(bad.assign(crashed=bad["crashed"].where(~odd, 0.0)), PLAN)
+        regular = found.query("against == 'two-control'").set_index(["left_task", "left_seed"])
+        assert regular["estimate"].idxmax() == ("highway", 201)
+        assert regular.loc[("highway", 201), "verdict"] == CONTRADICTED
+        assert regular["low"].idxmax() == ("highway", 201)
+
+    def test_nothing_is_asked_of_a_study_without_pairs_or_of_one_pair(self, drives: pd.DataFrame) -> None:
+        assert influence(drives[drives["kind"] == "agent"], PLAN).empty
+        assert influence(drives[drives["seed"].isin([200, 205])], PLAN).empty
+        assert influence(drives, SECOND).empty
 
 
 class TestPlan:

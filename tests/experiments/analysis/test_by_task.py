@@ -1,0 +1,131 @@
+"""The table of tasks: against plain pandas, against the effects of the plan, and what its means are made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from experiments.analysis.analysis import Analysis, analyse
+from experiments.analysis.by_task import COLUMNS, OWN, by_task
+from experiments.analysis.effects import ESTIMATE, MEANS
+from experiments.analysis.gates import CROSSINGS
+from experiments.analysis.scores import with_outcomes
+from experiments.study.results.store import Results, load
+from tests.experiments import synthetic
+
+LEVELS = {"highway": (1,), "roundabout": (1, 2), "u-turn": (1,)}
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    home = tmp_path_factory.mktemp("by-task")
+    synthetic.write(home, LEVELS, seeds=4, tests=30, effect=-0.3, further=("mixed",), test_on=("replica",))
+    return load(home)
+
+
+@pytest.fixture(scope="module")
+def episodes(results: Results) -> pd.DataFrame:
+    """With a traffic that nobody was trained in, in which every second crash of risky traffic does not happen."""
+    found = with_outcomes(results, COLUMNS)
+    unseen = found[(found["kind"] == "agent") & (found["traffic"] == "risky")]
+    unseen = unseen.assign(kind="test", traffic="only-parameters")
+    for name in ("crashed", "hard_crash"):
+        unseen[name] *= unseen["scenario"] % 2
+    return pd.concat([found, unseen], ignore_index=True)
+
+
+@pytest.fixture(scope="module")
+def table(episodes: pd.DataFrame) -> pd.DataFrame:
+    return by_task(episodes)
+
+
+def plain_mean(rows: pd.DataFrame, outcome: str) -> float:
+    """Of one arm in one traffic: over episodes of an agent, agents, levels of a task, tasks."""
+    crashed = rows["crashed"] == 1
+    if outcome == "crashes_per_100_km":
+        agents = rows.groupby(["task", "level", "seed"])
+        value = 1e5 * agents["crashed"].sum() / agents["distance"].sum()
+    else:
+        score = {
+            "hard_crash": crashed & (rows["crash_closing_speed"] >= 10),
+            "entered": rows["distance"] >= rows["task"].map(CROSSINGS).astype(float),
+        }.get(outcome, rows.get(outcome))
+        assert score is not None
+        value = score.groupby([rows["task"], rows["level"], rows["seed"]]).mean()
+    return float(value.groupby(["task", "level"]).mean().groupby("task").mean().mean())
+
+
+@pytest.mark.parametrize("arm", ["treatment", "mixed"])
+def test_every_number_is_the_mean_that_plain_pandas_finds(
+    episodes: pd.DataFrame, table: pd.DataFrame, arm: str
+) -> None:
+    places = {("sumo", "regular"), ("sumo", "risky"), ("replica", "regular"), ("replica", "risky")}
+    rows = table[table["arm"] == arm]
+    assert {*zip(rows["tested_on"], rows["traffic"], strict=True)} == places | {("sumo", "only-parameters")}
+    for row in rows.to_dict("records"):
+        if row["outcome"] == "crashes_per_100_km" and row["traffic"] == "only-parameters":
+            continue  # computed before the crashes were taken out
+        scope = row["scope"]
+        there = episodes[episodes["tested_on"].eq(row["tested_on"]) & episodes["traffic"].eq(row["traffic"])]
+        if scope.startswith("without "):
+            there = there[there["task"] != scope.removeprefix("without ")]
+        elif scope != "all tasks":
+            there = there[there["task"] == scope]
+        control, own = (plain_mean(there[there["arm"] == name], row["outcome"]) for name in ("control", arm))
+        assert (row["mean_against"], row["mean_arm"]) == pytest.approx((control, own))
+        assert row["estimate"] == pytest.approx(own - control)
+
+
+def test_what_a_task_has_no_number_of_is_left_out(table: pd.DataFrame) -> None:
+    rows = table[
+        (table["arm"] == "treatment") & (table["tested_on"] == "sumo") & (table["traffic"] == "risky")
+    ]
+    there = rows.groupby("outcome")["scope"].agg(set)
+    tasks = {*LEVELS}
+    means = {"all tasks", *(f"without {task}" for task in tasks)}
+    assert there["entered"] == {"roundabout"}  # the other two have no crossing
+    assert there["return"] == there["crashes_per_100_km"] == tasks  # they mean something else on each task
+    for outcome in ("crashed", "hard_crash", "mean_speed"):
+        assert there[outcome] == tasks | means
+
+
+def test_it_has_the_intervals_of_the_effects(results: Results, table: pd.DataFrame) -> None:
+    """The plan's own means, which have the same estimator: at home, and elsewhere."""
+    analysis: Analysis = analyse(results)
+    both = analysis.means.rename(columns={"term": "traffic"})
+    both = both[
+        both["scenarios"].isin(["own", "replica"])
+        & ~((both["scenarios"] == "replica") & (both["tested_on"] == "sumo"))
+    ]
+    key = ["tested_on", "arm", "against", "scope", "outcome", "traffic"]
+    same = table.merge(both, on=key, suffixes=("", " then"))
+    for place, least in (("sumo", 40), ("replica", 8)):
+        assert (same["tested_on"] == place).sum() >= least
+    for column in (*ESTIMATE[:-1], *MEANS):
+        assert same[column].astype(float).tolist() == pytest.approx(
+            same[f"{column} then"].astype(float).tolist(), nan_ok=True
+        )
+    stored = analysis.by_task
+    assert len(stored) == (table["traffic"] != "only-parameters").sum()
+
+
+def test_a_share_of_almost_no_crashes_has_an_interval(episodes: pd.DataFrame) -> None:
+    """Where nobody crashes hard, the difference is 0 and its interval is not."""
+    calm = episodes.assign(hard_crash=0.0)
+    rows = by_task(calm).query("outcome == 'hard_crash' and scope == 'u-turn'")
+    assert (rows["estimate"] == 0).all() and (rows["low"] < 0).all() and (rows["high"] > 0).all()
+
+
+def test_an_agent_that_is_lost_at_home_counts_nowhere(episodes: pd.DataFrame) -> None:
+    lost = (episodes["kind"] == "agent") & (episodes["arm"] == "treatment") & (episodes["seed"] == 3)
+    found = by_task(episodes[~lost]).query("arm == 'treatment' and scope == 'u-turn'")
+    assert set(found["seeds_arm"]) == {3} and set(found["tested_on"]) == {"sumo", "replica"}
+
+
+def test_without_agents_there_is_no_row(tmp_path: Path) -> None:
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4, arms=())
+    nothing: Any = by_task(with_outcomes(load(tmp_path), OWN))
+    assert nothing.empty and "traffic" in nothing

@@ -4,7 +4,7 @@ Knows gymnasium, numpy and torch; knows no simulator and no task by name.
 
     learner      the contract of a learner; learners: all by name
     dqn          double DQN, its settings; stable: DQN and PPO of Stable-Baselines3
-    training     the loop of double DQN: whole episodes, then updates; resumable bit for bit
+    training     the loop of double DQN: whole episodes, then updates
     episodes     what is written down about training episodes
     models       Q-networks: the paper's dueling network, ego attention, inputs standardised
     replay       uniform replay memory

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 
@@ -17,7 +16,7 @@ from agents.greedy import Greedy, best
 from agents.learner import NEWER, check_numbers
 from agents.models import Network, Standardised, flatten, network_class, unflattened
 from agents.replay import Batch, Replay
-from agents.streams import generator_state, number, restore_generator, stream
+from agents.streams import number, stream
 
 
 @dataclass(frozen=True)
@@ -190,46 +189,6 @@ class DQN:
     def policy(self) -> Greedy:
         """The greedy policy as it is now, on the CPU (a copy)."""
         return greedy(self.config)(unflattened(self.online).cpu())
-
-    def state_dict(self) -> dict[str, np.ndarray]:
-        """Everything that the future depends on, as arrays.
-
-        Some are views of live memory: copy them or write them to a file before the next step or update.
-        """
-        state = {f"replay.{name}": array for name, array in self.replay.state_dict().items()}
-        for part in ("online", "target"):
-            state |= {f"{part}.{k}": v.cpu().numpy() for k, v in getattr(self, part).state_dict().items()}
-        adam = self._optimizer.state[self._weights]
-        state |= {f"adam.{name}": value.cpu().numpy() for name, value in adam.items()}
-        state["exploration"] = np.array(generator_state(self._exploration))
-        state["sampling"] = np.array(generator_state(self._sampling))
-        state["torch"] = torch.get_rng_state().numpy()
-        state["updates"] = np.array(self.updates)
-        return state
-
-    def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
-        """Put back a state from :meth:`state_dict`. Raises ValueError when it belongs to another network."""
-
-        def part(name: str) -> dict[str, np.ndarray]:
-            return {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
-
-        def tensors(name: str) -> dict[str, Tensor]:
-            return {k: torch.from_numpy(v.copy()).to(self.config.device) for k, v in part(name).items()}
-
-        try:
-            self.online.load_state_dict(tensors("online"))
-            self.target.load_state_dict(tensors("target"))
-        except RuntimeError as error:
-            raise ValueError(f"The state belongs to another network: {error}") from error
-        adam = tensors("adam")
-        if odd := [name for name, value in adam.items() if value.shape not in ((), self._weights.shape)]:
-            raise ValueError(f"adam.{odd[0]} belongs to another network")
-        self._optimizer.state[self._weights] = adam
-        self.replay.load_state_dict(part("replay"))
-        restore_generator(self._exploration, str(state["exploration"]))
-        restore_generator(self._sampling, str(state["sampling"]))
-        torch.set_rng_state(torch.from_numpy(state["torch"].copy()))
-        self.updates = int(state["updates"])
 
 
 def greedy(config: DQNConfig) -> type[Greedy]:

@@ -6,7 +6,7 @@ FILE:NAME. `agents.stable` has learners of another library.
 * ``Settings``: a frozen dataclass with the properties ``steps`` (environment steps of a training) and ``updates``
   (gradient updates). Its fields are the profile, its comments the help, `settings_of` the check: a name that it does
   not have is an error. They are plain values: a study names its cells by them, so a file is named by its SHA-256.
-* ``train(make_env, settings, seed, *, checkpoint, progress)``: `make_env()` gives an environment whose episodes follow
+* ``train(make_env, settings, seed, *, progress)``: `make_env()` gives an environment whose episodes follow
   from the training's seed, whatever `reset` is given; `make_env(n)` gymnasium's vector environment of n of them, which
   share the episodes out. Traffic and rules of the training are in them. `progress` is called with environment steps.
 * ``load(path, settings, env)``: the policy of a file that `Trained.policy.save` has written.
@@ -25,9 +25,6 @@ import numpy as np
 
 from agents.plugins import unknown
 from agents.policies import Policy
-
-# How a training has got to its end, for the record.
-UNINTERRUPTED, RESUMED, BEGUN_AGAIN = "uninterrupted", "resumed exactly", "begun again"
 
 # Metadata of a setting that is newer than published cells: it enters their names where it is not its default.
 NEWER = {"newer": True}
@@ -48,9 +45,8 @@ class Trained:
     """What a training leaves behind.
 
     episodes: an array a column, a row a training episode, at least of step (environment steps after it), return, length
-    and crashed. record: plain values by name: "steps", "updates", "interruption" (UNINTERRUPTED, RESUMED or
-    BEGUN_AGAIN); of a learner of Q-values also "probe_q" (update, mean and largest max |Q| on some observations) and
-    "q_bound" (that no true value exceeds).
+    and crashed. record: plain values by name: "steps", "updates"; of a learner of Q-values also "probe_q" (update, mean
+    and largest max |Q| on some observations) and "q_bound" (that no true value exceeds).
     """
 
     policy: SavedPolicy
@@ -69,15 +65,14 @@ class Learner(Protocol):
         settings: Any,
         seed: int,
         *,
-        checkpoint: Path | None = None,
         progress: Callable[[int], None] = lambda _: None,
     ) -> Trained:
-        """Train an agent; the same arguments give the same one.
+        """Train an agent; the same arguments give the same one, to the bit.
 
-        One that can go on from `checkpoint` to the bits of an uninterrupted training does; else it begins again.
+        So one that is killed is begun again.
 
         Raises:
-            ValueError: settings or spaces that do not fit. CheckpointError: the checkpoint is damaged.
+            ValueError: settings or spaces that do not fit.
         """
 
     def load(self, path: Path, settings: Any, env: gym.Env[Any, Any]) -> Policy:

@@ -68,21 +68,3 @@ class Replay:
     def first(self, count: int) -> np.ndarray:
         """The first observations that it holds, at most so many (a copy)."""
         return self.arrays["observations"][: min(count, len(self))].copy()
-
-    def state_dict(self) -> dict[str, np.ndarray]:
-        """The filled part of every array (views of live memory), and the number of additions."""
-        return {
-            **{name: array[: len(self)] for name, array in self.arrays.items()},
-            "added": np.array(self.added),
-        }
-
-    def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Put back a state. Raises ValueError when it belongs to another capacity or observation shape."""
-        added = int(state["added"])
-        filled = min(added, self.capacity)
-        for name, array in self.arrays.items():
-            expected = (filled, *array.shape[1:])
-            if state[name].shape != expected:
-                raise ValueError(f"Expected replay {name} of shape {expected}, got {state[name].shape}.")
-            array[:filled] = state[name]
-        self.added = added

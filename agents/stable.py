@@ -13,7 +13,7 @@ from torch import nn
 
 from agents.episodes import Episodes
 from agents.greedy import Greedy
-from agents.learner import BEGUN_AGAIN, UNINTERRUPTED, MakeEnv, Trained, check_numbers
+from agents.learner import MakeEnv, Trained, check_numbers
 
 LEARNERS_OWN = {"steps", "hidden", "layers"}  # settings that are no arguments of the algorithm
 
@@ -97,7 +97,7 @@ class Unseeded(Episodes):
 
 
 class StableBaselines3:
-    """An algorithm of Stable-Baselines3. Its trainings cannot be resumed exactly: they begin again."""
+    """An algorithm of Stable-Baselines3."""
 
     def __init__(self, settings: type[Any]) -> None:
         self.Settings = settings
@@ -117,22 +117,13 @@ class StableBaselines3:
         settings: Any,
         seed: int,
         *,
-        checkpoint: Path | None = None,
         progress: Callable[[int], None] = lambda _: None,
     ) -> Trained:
-        """See `agents.learner.Learner`. `checkpoint` is no more than a sign that the training was begun before."""
-        again = checkpoint is not None and checkpoint.exists()
-        if checkpoint is not None:
-            checkpoint.parent.mkdir(parents=True, exist_ok=True)
-            checkpoint.touch()
+        """See `agents.learner.Learner`."""
         env = Unseeded(make_env(), progress)
         model = self._model(env, settings, seed)
         model.learn(settings.steps)
-        record = {
-            "steps": int(model.num_timesteps),
-            "updates": settings.updates,
-            "interruption": BEGUN_AGAIN if again else UNINTERRUPTED,
-        }
+        record = {"steps": int(model.num_timesteps), "updates": settings.updates}
         policy = Greedy(Logits(model.policy.cpu()).requires_grad_(False))
         return Trained(policy, env.columns(), record)
 

@@ -6,7 +6,6 @@ of another: an agent that behaves differently still meets the same training scen
 
 from __future__ import annotations
 
-import json
 import zlib
 
 import numpy as np
@@ -32,13 +31,3 @@ def episode_seed(seed: int, episode: int) -> int:
     Two arms trained with one seed therefore meet the same scenarios in the same order.
     """
     return int(_sequence(seed, "training episode", episode).generate_state(1)[0])
-
-
-def generator_state(generator: np.random.Generator) -> str:
-    """The complete state of a generator as JSON (its integers have 128 bits)."""
-    return json.dumps(generator.bit_generator.state)
-
-
-def restore_generator(generator: np.random.Generator, state: str) -> None:
-    """Put back a state from :func:`generator_state`. ValueError when it is of another kind of generator."""
-    generator.bit_generator.state = json.loads(state)

@@ -179,11 +179,6 @@ def test_values_and_policy_of_a_known_decision_process() -> None:
     assert worth(learnt.argmax(1)) > best - 0.25 * (best - trivial)
 
 
-def test_a_state_of_another_network_is_refused() -> None:
-    with pytest.raises(ValueError, match="another network"):
-        make().load_state_dict(make(network=Medium).state_dict())
-
-
 def test_a_policy_is_a_copy() -> None:
     agent = make()
     fill(agent, 50)

@@ -41,9 +41,3 @@ def test_a_batch_holds_whole_transitions() -> None:
 def test_an_empty_replay_cannot_be_sampled() -> None:
     with pytest.raises(ValueError, match="empty replay"):
         Replay(5, (4,)).sample(np.random.default_rng(0), 1)
-
-
-@pytest.mark.parametrize(("capacity", "shape"), [(5, (2, 2)), (8, (7,))])
-def test_a_state_of_other_sizes_is_refused(capacity: int, shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="shape"):
-        Replay(capacity, shape).load_state_dict(filled(8, 9).state_dict())

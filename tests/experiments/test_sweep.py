@@ -25,6 +25,7 @@ from experiments.study.design.arms import TEST
 from experiments.study.design.experiment import shard
 from experiments.study.results import store
 from experiments.study.results.store import load
+from experiments.study.results.working import fraction_done
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
@@ -160,7 +161,7 @@ def test_what_is_killed_goes_on_where_it_was(reference, tmp_path, victim, here):
     directory = tmp_path / "results"
     process = started(*command(directory))
     wait_for(lambda: len(list(directory.glob("work/*/lock"))) == 2, 300)  # both workers compute
-    wait_for(lambda: [*directory.glob("work/*/checkpoint.npz"), *directory.glob("cells/*")], 300)
+    wait_for(lambda: any(map(fraction_done, directory.glob("work/*"))) or [*directory.glob("cells/*")], 300)
     os.kill(process.pid if victim == "sweep" else children(process.pid, "spawn_main")[0], signal.SIGKILL)
     printed, _ = process.communicate(timeout=300)
     if victim == "sweep":
@@ -379,7 +380,7 @@ def network(env, scale):
 class Guess:
     Settings = Settings
 
-    def train(self, make_env, settings, seed, *, checkpoint=None, progress=print):
+    def train(self, make_env, settings, seed, *, progress=print):
         envs, log, steps = make_env(2), {"step": [], "return": [], "length": [], "crashed": []}, 0
         envs.reset()
         while steps < settings.steps:

@@ -30,10 +30,8 @@ import torch
 
 from agents import pretrained
 from agents.checkpoint import CheckpointError, load_arrays, save_arrays
-from agents.dqn import DQNConfig
 from agents.greedy import Greedy
 from agents.models import DuelingMLP
-from agents.training import train
 from experiments.analysis.analysis import analyse
 from experiments.reporting.page import page, render
 from experiments.study.design.grid import cell_name
@@ -44,7 +42,6 @@ from experiments.support.files import sha256_bytes, sha256_file
 from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
-from tests.experiments.fake_env import FakeEnv
 from tests.faults import judged
 from tests.sumo_env.scenario.files import written
 
@@ -390,22 +387,6 @@ def cases(home: Path) -> Iterator[Case]:
             damage,
             lambda: digest(Greedy.load(weights, DuelingMLP(space, 5)).q(observation)),
         )
-    checkpoint = home / "checkpoint.npz"
-    config = DQNConfig(updates=4, warm_up=40, block=2, probe_interval=2, batch_size=8, network="dueling")
-
-    def trained() -> str:
-        done: Any = train(FakeEnv("u-turn", {"duration": 10}), config, 0, checkpoint=checkpoint)
-        return digest([v.tolist() for v in done.policy.network.state_dict().values()]) + digest(
-            {name: value for name, value in done.record.items() if name != "interruption"}
-        )
-
-    trained()
-    for way, damage in {
-        **spoilt(checkpoint),
-        **of_arrays(checkpoint),
-        **judged.checkpoints(checkpoint),
-    }.items():
-        yield f"checkpoint: {way}", checkpoint, damage, trained
     town = written(home / "town", "static").parent
     for name in ("grid.net.xml", "t.rou.xml", "t.sumocfg", "t.add.xml"):
         for way, damage in {**spoilt(town / name), **replaced(town / name)}.items():

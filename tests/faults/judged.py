@@ -231,36 +231,6 @@ def archives(file: Path) -> dict[str, Act]:
     }
 
 
-# Entries of a checkpoint, and odd values of each: all numbers of it are replaced.
-CHECKPOINTS: dict[str, tuple[Any, ...]] = {
-    **dict.fromkeys(("dqn.online.mean", "dqn.target.network.base.0.weight", "dqn.adam.exp_avg"), (np.nan,)),
-    **dict.fromkeys(("dqn.replay.observations", "dqn.replay.rewards", "probe", "looks"), (np.inf,)),
-    "dqn.replay.actions": (99, -1),
-    "dqn.replay.terminated": (7,),
-    "dqn.updates": (999, -1, 2.5),
-    "dqn.replay.added": (58, -1, HUGE),
-    "steps": (0, -1, HUGE),
-    "log.episode": (0,),
-    "log.step": (5,),
-    "log.return": (np.nan,),
-    "max_abs_reward": (np.nan,),
-    "dqn.exploration": ("{}", "x"),
-    "settings": ("null", "[" * 100_000),
-}
-
-
-def checkpoints(file: Path) -> dict[str, Act]:
-    """Checkpoints with numbers that no training writes."""
-    arrays = load_arrays(file)
-    return {
-        f"{name}={str(value)[:20]}": partial(
-            save_arrays, file, {**arrays, name: np.full(arrays[name].shape, value)}
-        )
-        for name, values in CHECKPOINTS.items()
-        for value in values
-    }
-
-
 CARDS: dict[str, tuple[Any, ...]] = {
     "actions": (9999, 0, 4, True),
     "observations": ([9999, 9999, 9999], [], [3], [9999, 3], [-3, 5], [3, 5, 1, 1, 1, 1, 1, 1]),

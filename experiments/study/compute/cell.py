@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import pandas as pd
 
-from agents.checkpoint import CheckpointError
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import costs
@@ -27,10 +26,8 @@ from experiments.study.results.store import (
     Store,
 )
 from experiments.support.errors import UserError
+from experiments.support.files import made
 from experiments.support.provenance import provenance
-
-if TYPE_CHECKING:
-    from agents.learner import Trained
 
 MakeEnv = Callable[..., gym.Env[Any, Any]]
 
@@ -55,7 +52,7 @@ class CellTask:
 
     @property
     def folder(self) -> Path:
-        """Where its checkpoint lies."""
+        """Its working folder."""
         return Store(self.directory).work / self.name
 
     def done(self) -> bool:
@@ -87,11 +84,15 @@ class CellTask:
 
         started = time.monotonic()
         if cell.kind == "agent":
-            trained, episodes, record = self._train(
-                lambda made: heartbeat(training * min(made / steps, 1.0) / (training + tests))
+            from experiments.study.compute.train import train_cell  # baselines need no learner
+
+            trained, episodes, record = train_cell(
+                cell,
+                self.make_env,
+                lambda made: heartbeat(training * min(made / steps, 1.0) / (training + tests)),
             )
             timing["train_seconds"] = time.monotonic() - started
-            trained.policy.save(self.folder / WEIGHTS)
+            trained.policy.save(made(self.folder) / WEIGHTS)
             files = {TRAINING: episodes, WEIGHTS: self.folder / WEIGHTS}
             learner = {"learner": record}
         started = time.monotonic()
@@ -100,18 +101,6 @@ class CellTask:
         timing["test_seconds"] = time.monotonic() - started
         timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         store.write(cell, {**learner, "timing": timing, "provenance": provenance()}, files)
-
-    def _train(self, progress: Callable[[int], None]) -> tuple[Trained, pd.DataFrame, dict[str, Any]]:
-        """The trained agent, see `train.train_cell`."""
-        from experiments.study.compute.train import CHECKPOINT, train_cell  # baselines need no learner
-
-        cell = self.cell
-        try:
-            return train_cell(cell, self.make_env, self.folder, progress)
-        except CheckpointError as damage:
-            aside = Store(self.directory).put_aside(self.folder / CHECKPOINT)
-            print(f"{cell.name}: its checkpoint was damaged ({damage}) and put aside in {aside}", flush=True)
-            return train_cell(cell, self.make_env, self.folder, progress)
 
     def _test(self, env: gym.Env[Any, Any], on_episode: Callable[[], None]) -> dict[str, pd.DataFrame]:
         """The tables of the tests, by file."""

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -21,28 +20,24 @@ from experiments.study.design.arms import EVERY_ARM, training_seed
 from experiments.study.design.grid import Cell, learner_of
 from experiments.support.errors import in_words
 
-CHECKPOINT = "checkpoint.npz"
 CURVE = 20  # parts of a learning curve
 MakeEnv = Callable[..., gym.Env[Any, Any]]  # from (backend, task, config)
 
 
 def train_cell(
-    cell: Cell, make_env: MakeEnv, directory: Path, progress: Callable[[int], None] = lambda _: None
+    cell: Cell, make_env: MakeEnv, progress: Callable[[int], None] = lambda _: None
 ) -> tuple[Trained, pd.DataFrame, dict[str, Any]]:
-    """Train the agent of a cell; the same however often it is interrupted.
+    """Train the agent of a cell; the same whenever it is done.
 
     Args:
         make_env: makes an environment from (backend, task, config).
-        directory: where the checkpoint lies, or is written.
         progress: called now and then with the number of environment steps that are made.
 
     Returns:
         The agent, its training episodes (one row each), and "learner" of cell.json.
 
     Raises:
-        CheckpointError: the checkpoint is damaged.
         UserError: the user's file is not named, not there or has changed, or a setting makes no sense.
-        OSError: the checkpoint cannot be written.
     """
     learner, settings = learner_of(cell.key(), cell.source)
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
@@ -50,13 +45,8 @@ def train_cell(
         with in_words():
             check(cell.source, cell.profile)
     with ExitStack() as opened:  # an error in there is of this training alone
-        trained = learner.train(
-            partial(environments, cell, make_env, seed, opened),
-            settings,
-            seed,
-            checkpoint=directory / CHECKPOINT,
-            progress=progress,
-        )
+        make = partial(environments, cell, make_env, seed, opened)
+        trained = learner.train(make, settings, seed, progress=progress)
     episodes = pd.DataFrame(trained.episodes)
     traffic = EVERY_ARM[str(cell.arm)].traffic
     if traffic.drawn:

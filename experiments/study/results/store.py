@@ -3,7 +3,7 @@
 DIR/cells/<cell>/     cell.json, episodes.parquet; gates.parquet except in further tests of an agent; for agents also
                       training.parquet, weights.npz
 DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
-DIR/work/<cell>/      a cell in progress or given up: checkpoint, lock, log of what went wrong (see `run`)
+DIR/work/<cell>/      a cell in progress or given up: lock, log of what went wrong (see `run`)
 DIR/damaged/          what was put aside because it was damaged
 DIR/sweep.json        what sweeps have asked for
 

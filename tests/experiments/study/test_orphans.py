@@ -37,7 +37,7 @@ def test_workers_that_hold_the_interpreter_end_with_their_parent(tmp_path: Path,
     script = tmp_path / "driver.py"
     script.write_text(HOLD)
     process = started(script, tmp_path)
-    wait_for(lambda: len(list(tmp_path.glob("work/*/checkpoint"))) == 2, 60)
+    wait_for(lambda: len(list(tmp_path.glob("*.tries"))) == 2, 60)
     time.sleep(0.5)  # until they are in the call
     found = children(process.pid, "spawn_main")
     assert len(found) == 2

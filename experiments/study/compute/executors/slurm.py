@@ -7,22 +7,23 @@ SBATCH_MEM_PER_NODE), which take precedence over what is set here.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import submitit
-from submitit.helpers import Checkpointable
 
+from experiments.study.compute.progress import duration
 from experiments.support.errors import UserError
 
 ROOT = Path(__file__).resolve().parents[4]
 POLL = 1.0  # [s] between two looks at the jobs; submitit itself asks Slurm less and less often
 TIME, MEMORY = 4 * 60, 2.0  # of a job [min], [GB]
-REQUEUES = 20  # a job that runs into its time limit, or is preempted, goes on from its checkpoint so often
 
 
 class SlurmExecutor(Executor):
@@ -37,7 +38,7 @@ class SlurmExecutor(Executor):
         # Jobs inherit the environment.
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
         try:
-            self._jobs = submitit.AutoExecutor(folder=folder, cluster=cluster, slurm_max_num_timeout=REQUEUES)
+            self._jobs = submitit.AutoExecutor(folder=folder, cluster=cluster)
         except RuntimeError as error:
             raise UserError(f"{error}: --executor slurm is for machines that submit jobs to Slurm") from None
         if cluster == "slurm" and subprocess.run(["sacct"], capture_output=True, check=False).returncode:
@@ -57,7 +58,7 @@ class SlurmExecutor(Executor):
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # from now on it cannot be cancelled alone
         try:
-            self._running[future] = self._jobs.submit(Restartable(), function, *args, **kwargs)
+            self._running[future] = self._jobs.submit(within_limit, function, *args, **kwargs)
         except Exception as error:  # sbatch refuses: no such partition, no account, too many jobs
             future.set_exception(UserError(f"Slurm takes no job: {error}".replace("\n", " ")))
         return future
@@ -83,9 +84,20 @@ class SlurmExecutor(Executor):
                         future.set_exception(RuntimeError(lost))
 
 
-class Restartable(Checkpointable):
-    """Calls a function, and goes on from its checkpoint when Slurm ends the job and submitit hands it in again."""
+class OutOfTime(RuntimeError):
+    """A job has no more time, and would not have it in another try."""
 
-    def __call__(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """Make the call."""
-        return function(*args, **kwargs)
+
+def within_limit(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    """Call a function in a job. Raises OutOfTime in it when Slurm says that the job's time is nearly over.
+
+    submitit would hand in such a job again, without end where the site's limit is below the one set here.
+    """
+    began = time.monotonic()
+
+    def over(*_: object) -> NoReturn:
+        passed = duration(time.monotonic() - began)
+        raise OutOfTime(f"its job was at its time limit after {passed}: set SBATCH_TIMELIMIT to more")
+
+    signal.signal(signal.SIGUSR2, over)  # of submitit
+    return function(*args, **kwargs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -323,7 +324,9 @@ def _append(options: dict[str, str], name: str, added: Sequence[Path]) -> None:
 
 def _frequency(step: str) -> int:
     """Steps per second [Hz] of a step length."""
-    frequency = 1.0 / seconds("step-length", step)
+    if not 0.0 < (length := seconds("step-length", step)) < inf:
+        raise ConfigError(f"step-length={step!r} must be a time above 0 s")
+    frequency = 1.0 / length
     if round(frequency) >= 1 and abs(frequency - round(frequency)) < 1e-6 * frequency:
         return round(frequency)
     logger.warn(f"a second is no whole number of steps of {step} s: 'simulation_frequency' is 10")

@@ -3,12 +3,11 @@
 Knows gymnasium, numpy and torch; knows no simulator and no task by name.
 
     learner      the contract of a learner; learners: all by name
-    dqn          double DQN, its settings; stable: DQN and PPO of Stable-Baselines3
-    training     the loop of double DQN: whole episodes, then updates
+    dqn          double DQN: settings, update, loop; stable: DQN and PPO of Stable-Baselines3
     episodes     what is written down about training episodes
     models       Q-networks: the paper's dueling network, ego attention, inputs standardised
     replay       uniform replay memory
-    checkpoint   atomic files of arrays that detect damage
+    files        atomic files, and arrays in them, of which damage is detected
     greedy       the policy of a trained network, and its file
     belief       an estimate of the dose of risk, and two agents weighed by it
     policies     what drives: the interface, models of Stable-Baselines3, objects of a user's file

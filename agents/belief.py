@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.checkpoint import load_arrays, save_arrays
 from agents.columns import Env, Observed
+from agents.files import load_arrays, save_arrays
 from agents.greedy import Greedy, best, with_weights
 from agents.rules.perception import Perception, View
 from agents.streams import stream
@@ -76,7 +76,7 @@ class Estimator(nn.Module):
 
     @classmethod
     def load(cls, path: Path) -> Estimator:
-        """Read what `save` wrote. Raises ValueError for another file, CheckpointError or FileNotFoundError."""
+        """Read what `save` wrote. Raises ValueError for another file, DamagedFile or FileNotFoundError."""
         arrays = load_arrays(path)
         estimator = cls(torch.zeros(arrays["traces"].shape) if "traces" in arrays else None)
         with_weights(estimator, arrays, path)

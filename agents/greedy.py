@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from agents.checkpoint import CheckpointError, load_arrays, save_arrays
 from agents.columns import with_column
+from agents.files import DamagedFile, load_arrays, save_arrays
 
 
 class Greedy:
@@ -43,7 +43,7 @@ class Greedy:
     def load(cls, path: str | Path, network: nn.Module) -> Greedy:
         """Read weights written by :meth:`save` into a network of the same kind.
 
-        Raises ValueError when they belong to another one, CheckpointError when the file is damaged.
+        Raises ValueError when they belong to another one, DamagedFile when the file is damaged.
         """
         return cls(with_weights(network, load_arrays(path), path))
 
@@ -51,7 +51,7 @@ class Greedy:
 def with_weights(network: nn.Module, arrays: Mapping[str, np.ndarray], path: str | Path) -> nn.Module:
     """The network with weights that were read from a file.
 
-    Raises ValueError when they belong to another network, CheckpointError when one is no finite number.
+    Raises ValueError when they belong to another network, DamagedFile when one is no finite number.
     """
     own = network.state_dict()
     try:
@@ -64,7 +64,7 @@ def with_weights(network: nn.Module, arrays: Mapping[str, np.ndarray], path: str
         raise ValueError(f"{path} holds the weights of another network: {error}") from error
     for name, weights in network.state_dict().items():
         if not torch.isfinite(weights).all():
-            raise CheckpointError(f"{path}: the weights {name} are not finite; the agent cannot be used.")
+            raise DamagedFile(f"{path}: the weights {name} are not finite; the agent cannot be used.")
     return network
 
 

@@ -76,7 +76,7 @@ class Learner(Protocol):
         """
 
     def load(self, path: Path, settings: Any, env: gym.Env[Any, Any]) -> Policy:
-        """A trained policy. ValueError for the weights of another one, CheckpointError for a damaged file."""
+        """A trained policy. ValueError for the weights of another one, DamagedFile for a damaged file."""
 
 
 def settings_of(cls: type[T], given: Mapping[str, Any], whose: str) -> T:

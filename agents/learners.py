@@ -7,13 +7,12 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.dqn import DQNConfig, greedy
+from agents.dqn import DQNConfig, greedy, train
 from agents.greedy import Greedy
 from agents.learner import Learner, MakeEnv, Trained
 from agents.models import Standardised, network_class
 from agents.plugins import named
 from agents.stable import DQNSettings, PPOSettings, StableBaselines3
-from agents.training import train
 
 
 class DoubleDQN:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agents.checkpoint import CheckpointError, load_arrays, save_arrays
+from agents.files import DamagedFile, load_arrays, save_arrays
 from agents.schema import Wrong, check, parsed
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
     `cell`, with the `command` and `commit` that trained it; `time_observed`, the number of steps of which the agent
     observes the share that is over (0: it does not observe the time).
 
-    Raises FileNotFoundError when the file is not there, CheckpointError when it is damaged.
+    Raises FileNotFoundError when the file is not there, DamagedFile when it is damaged.
     """
     arrays = _arrays(Path(file))
     try:
@@ -63,7 +63,7 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
             if math.prod(about["observations"]) > LARGEST:
                 raise Wrong(f"{name}.observations have more than {LARGEST:,} numbers")
     except (KeyError, ValueError) as error:
-        raise CheckpointError(f"{file} is no file of agents ({error}): restore it from a copy.") from None
+        raise DamagedFile(f"{file} is no file of agents ({error}): restore it from a copy.") from None
     return found
 
 
@@ -82,7 +82,7 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
 
     `network`: the class of an agent whose network is not one of ours; a file alone never runs code of its author.
 
-    Raises ValueError when there is no such agent or its network is needed, FileNotFoundError or CheckpointError when
+    Raises ValueError when there is no such agent or its network is needed, FileNotFoundError or DamagedFile when
     the file is not in order.
     """
     import gymnasium as gym

@@ -163,8 +163,7 @@ def sb3_dqn(env, seed, steps, epsilon=0.05, norm_obs=True):
 
 def own_dqn(env, seed, steps, **settings):
     """Train this project's double DQN."""
-    from agents.dqn import DQNConfig
-    from agents.training import train
+    from agents.dqn import DQNConfig, train
 
     budget = {"updates": (steps - 1000) // 2, "steps_per_update": 2}
     return train(env, DQNConfig(**{"gamma": 0.98, **budget, **settings}), seed).policy.act

@@ -22,7 +22,7 @@ from typing import Annotated
 
 import tyro
 
-from agents.checkpoint import atomic
+from agents.files import atomic
 from experiments.study.compute.cells import compute
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import Experiment

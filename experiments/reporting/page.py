@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from agents.checkpoint import open_regular
+from agents.files import open_regular
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.claims import all_hold
 from experiments.analysis.effects import ALL_TASKS

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agents import plugins
-from agents.checkpoint import CheckpointError
+from agents.files import DamagedFile
 
 USAGE = 2  # exit status: the call or the directory has to be put right first
 INTERRUPTED = 130  # exit status after Ctrl-C, as a shell has it
@@ -97,7 +97,7 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
             status = main()
         finally:
             sys.stdout.flush()
-    except (UserError, CheckpointError) as error:
+    except (UserError, DamagedFile) as error:
         # a name in somebody's file must not command the terminal
         words = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in str(error))
         print(f"error: {words}", file=sys.stderr)

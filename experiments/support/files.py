@@ -14,7 +14,7 @@ from typing import Any
 
 from filelock import FileLock
 
-from agents.checkpoint import atomic, open_regular, sync
+from agents.files import atomic, open_regular, sync
 from agents.schema import parsed
 
 
@@ -69,7 +69,7 @@ def is_name(name: object) -> bool:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file atomically, see `agents.checkpoint.atomic`."""
+    """Write a file atomically, see `agents.files.atomic`."""
     with atomic(path) as file:
         file.write(data)
 

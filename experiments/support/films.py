@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from agents.checkpoint import atomic
+from agents.files import atomic
 from experiments.support.errors import UserError
 
 FREQUENCY = 5  # pictures per second

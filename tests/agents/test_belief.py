@@ -26,8 +26,8 @@ from agents.belief import (
     sharpened,
 )
 from agents.by_hand import Compiled
-from agents.checkpoint import save_arrays
 from agents.columns import Observed
+from agents.files import save_arrays
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
 from agents.rules.perception import Perception

@@ -12,7 +12,7 @@ import torch
 import agents
 from agents import pretrained
 from agents.by_hand import Compiled
-from agents.checkpoint import CheckpointError
+from agents.files import DamagedFile
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
 from agents.policies import foreign_policy
@@ -50,7 +50,7 @@ def test_weights_of_another_network_and_damaged_files_are_refused(tmp_path: Path
     with pytest.raises(ValueError, match="another network"):
         Greedy.load(file, network(width=32))
     file.write_bytes(file.read_bytes()[:-100])
-    with pytest.raises(CheckpointError, match="damaged"):
+    with pytest.raises(DamagedFile, match="damaged"):
         Greedy.load(file, network())
 
 

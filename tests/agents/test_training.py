@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from agents import training
-from agents.dqn import DQNConfig
+from agents.dqn import DQN, DQNConfig, Training, train
 from agents.learner import Trained
-from agents.training import train
 from tests.agents import networks
 from tests.agents.networks import Small, weights
 from tests.experiments.computed import Interrupted, interrupting
@@ -138,7 +136,7 @@ def test_values_are_watched_on_the_first_observations() -> None:
     trained = train(road(), SMALL, 0)
     assert [row[0] for row in trained.record["probe_q"]] == [100, 180, 280, 300]
     env = road()
-    again = training.Training(training.DQN(SMALL, env.observation_space, env.action_space, 0), env)
+    again = Training(DQN(SMALL, env.observation_space, env.action_space, 0), env)
     again.play(SMALL.warm_up)  # the same random steps
     first = again.agent.replay.first(SMALL.warm_up)
     probe_size = len(first)
@@ -159,8 +157,8 @@ def test_wrong_arguments_are_refused() -> None:
 def test_the_time_limit_is_no_end_to_the_values() -> None:
     """Only a crash is stored as terminal: what comes after the last step of an episode is still expected."""
     env = road()
-    agent = training.DQN(SMALL, env.observation_space, env.action_space, 0, Small)
-    played = training.Training(agent, env)
+    agent = DQN(SMALL, env.observation_space, env.action_space, 0, Small)
+    played = Training(agent, env)
     played.play(200)
     crashes, lengths = sum(played.env.rows["crashed"]), played.env.rows["length"]
     assert max(lengths) == 20

@@ -29,7 +29,7 @@ import pandas as pd
 import torch
 
 from agents import pretrained
-from agents.checkpoint import CheckpointError, load_arrays, save_arrays
+from agents.files import DamagedFile, load_arrays, save_arrays
 from agents.greedy import Greedy
 from agents.models import DuelingMLP
 from experiments.analysis.analysis import analyse
@@ -48,7 +48,7 @@ from tests.sumo_env.scenario.files import written
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = Path(__file__).with_name("corruptions.json")
 JUDGED = Path(__file__).with_name("judged.toml")
-SAID = (UserError, CheckpointError, ConfigError, SimulatorError, ValueError, FileNotFoundError)
+SAID = (UserError, DamagedFile, ConfigError, SimulatorError, ValueError, FileNotFoundError)
 PATIENCE, MEMORY = 60, 8 * 2**30  # [s] of the processor, and bytes, of a read
 NOBODY = 65534  # who reads where the campaign runs as root: for root nothing is unreadable
 STATES = ("A", "unaffected", "B", "C", "D")

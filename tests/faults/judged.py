@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from agents.checkpoint import load_arrays, save_arrays
+from agents.files import load_arrays, save_arrays
 
 HUGE = 10**9
 Act = Callable[[], object]

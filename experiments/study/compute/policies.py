@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.checkpoint import CheckpointError
+from agents.files import DamagedFile
 from agents.plugins import foreign
 from agents.policies import Policy, foreign_policy
 from agents.rules import make_policy
@@ -27,7 +27,7 @@ def check(source: str, profile: Mapping[str, Any]) -> None:
         )
 
 
-@in_words((ValueError, CheckpointError))
+@in_words((ValueError, DamagedFile))
 def driver(
     key: Mapping[str, Any],
     source: str | None,

@@ -18,7 +18,7 @@ from typing import Any
 
 import pandas as pd
 
-from agents.checkpoint import open_regular
+from agents.files import open_regular
 from agents.schema import Wrong, check, parsed, shortened
 from experiments.study.results.schema import TEXT, check_columns, check_episodes, check_record
 from experiments.support.errors import UserError

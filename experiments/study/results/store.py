@@ -25,7 +25,7 @@ from typing import Any
 
 import pandas as pd
 
-from agents.checkpoint import open_regular
+from agents.files import open_regular
 from agents.schema import Wrong, check, parsed, shortened
 from experiments.study.design.grid import RESULT_SCHEMA, Cell, setting
 from experiments.study.results.packed import (

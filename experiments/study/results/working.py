@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from agents.checkpoint import open_regular
+from agents.files import open_regular
 from experiments.support.files import read_text
 
 LAST = 10_000  # bytes of a log that are looked at

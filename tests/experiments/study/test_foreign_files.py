@@ -18,8 +18,8 @@ from PIL import Image
 
 import agents
 from agents import pretrained
-from agents.checkpoint import CheckpointError, atomic
 from agents.episodes import Episodes
+from agents.files import DamagedFile, atomic
 from agents.greedy import Greedy
 from agents.models import DuelingMLP, EgoAttention
 from agents.plugins import sha256
@@ -277,7 +277,7 @@ def test_weights_and_values_are_numbers(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="the network's value of action 0 is nan, not a finite number"):
         Greedy(network).act(np.zeros((2, 5), np.float32))
     Greedy(network).save(tmp_path / "weights.npz")
-    with pytest.raises(CheckpointError, match=r"weights\.npz: the weights .* are not finite"):
+    with pytest.raises(DamagedFile, match=r"weights\.npz: the weights .* are not finite"):
         Greedy.load(tmp_path / "weights.npz", DuelingMLP(space, 5))
 
 

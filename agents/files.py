@@ -16,8 +16,8 @@ import numpy as np
 LARGEST = 2**33  # bytes of a file, and of what an npz holds; more would fill the memory or take hours
 
 
-class CheckpointError(RuntimeError):
-    """A checkpoint is damaged, or belongs to another training."""
+class DamagedFile(RuntimeError):
+    """A file is damaged, or holds what nothing here has written."""
 
 
 def sync(path: Path) -> None:
@@ -74,7 +74,7 @@ def save_arrays(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
 def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
     """Read what :func:`save_arrays` wrote.
 
-    Raises CheckpointError when the file is damaged, FileNotFoundError when there is none.
+    Raises DamagedFile when the file is damaged, FileNotFoundError when there is none.
     """
     try:
         with open_regular(Path(path)) as file, np.load(file, allow_pickle=False) as archive:
@@ -86,6 +86,6 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
         raise
     except Exception as error:  # a damaged archive may end in nearly any of them
         reason = str(error).partition("\n")[0] or type(error).__name__
-        raise CheckpointError(
-            f"{path} is damaged ({reason}): delete it and run the training again."
+        raise DamagedFile(
+            f"{path} is damaged ({reason}): restore it from a copy, or delete it and make it again."
         ) from error

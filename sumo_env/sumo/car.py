@@ -65,17 +65,18 @@ class Car(Generic[Driven]):
                 partners,
                 self._session.halves((name, *ids)),
             )
-            if crash is not None and not ego.crashed:
-                ego.crashed, found = True, crash
-        if around.near and not ego.crashed:
+            if crash is not None and not ego.vehicle.crashed:
+                ego.vehicle.crash(ego.speed)
+                found = crash
+        if around.near and not ego.vehicle.crashed:
             least = self._least_ttc
             self._least_ttc = min(least, around.time_to_collision(min(least, HORIZON)))
         return found
 
     def be_hit(self, other: Car[Driven], crash: CrashRecord) -> None:
         """Another learning car has touched this one; the contact is this car's first one, unless it had one."""
-        if not self.ego.crashed:
-            self.ego.crashed = True
+        if not self.ego.vehicle.crashed:
+            self.ego.vehicle.crash(self.ego.speed)
             states = self.around.ego, other.around.ego
             self._detector.crash = record(*states, other.name, crash.time, crash.detected_by)
 

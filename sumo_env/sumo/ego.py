@@ -13,43 +13,12 @@ from sumo_env.actions import ego_route, follow_road
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.simulator import EgoCommand
-from sumo_env.sumo.events import modes
-from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
+from sumo_env.sumo.session import Session
+from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
 REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reproduced at any step length
-
-
-class Controls:
-    """Who drives a vehicle's speed, and who its lanes: commands, or SUMO.
-
-    Attributes:
-        speed, lanes: whether they are commanded.
-    """
-
-    def __init__(self, session: Session, name: str, modes: tuple[int, int], speed: bool, lanes: bool) -> None:
-        """modes: speed mode and lane-change mode with which SUMO drives it; speed, lanes: what is commanded now."""
-        self._session, self._name, self._modes = session, name, modes
-        self.speed, self.lanes = speed, lanes
-        self._is_changing = False  # whether a lane change of SUMO's may still be running
-
-    def command(self, speed: bool, lanes: bool) -> None:
-        """From now on the speed, the lanes, both or neither are commanded."""
-        if speed != self.speed:
-            self._session.vehicle.setSpeedMode(self._name, ALL_CHECKS_OFF if speed else self._modes[0])
-            if not speed:
-                self._session.vehicle.setSpeed(self._name, -1.0)
-        if lanes != self.lanes:
-            mode = COMMANDED_LANE_CHANGES if lanes else self._modes[1]
-            self._session.vehicle.setLaneChangeMode(self._name, mode)
-            self._is_changing = lanes
-        self.speed, self.lanes = speed, lanes
-
-    def may_change_lane(self) -> bool:
-        """Whether a lane may be commanded: once lanes are taken from SUMO, it ends the change that it has begun."""
-        self._is_changing = self._is_changing and self._session.changes_lane(self._name)
-        return self.lanes and not self._is_changing
 
 
 class Ego:
@@ -57,22 +26,21 @@ class Ego:
 
     ended = ""  # its way does not end
 
-    def __init__(self, session: Session, scenario: Scenario, network: Network, spec: VehicleSpec) -> None:
-        """spec: the ego among the scenario's learning cars."""
-        self._name = spec.id
+    def __init__(
+        self, session: Session, scenario: Scenario, network: Network, spec: VehicleSpec, vehicle: Vehicle
+    ) -> None:
+        """spec: the ego among the scenario's learning cars; vehicle: it on the road."""
+        self._name, self.vehicle = spec.id, vehicle
         self._session, self._network, self._road = session, network, scenario.road
         self._route = ego_route(self._road, spec)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
-        self.crashed = False  # since a contact it only coasts to a stop
         self._lane, self._stretch = "", 1.0  # of SUMO
         self._acceleration: float | None = None
-        self.controls = Controls(session, self._name, modes(spec, scenario.calibration), True, True)
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO what is not commanded."""
         speed, lane, self._acceleration = command
-        if not self.crashed:
-            self.controls.command(speed is not None, lane is not None)
+        self.vehicle.command(speed is not None, lane is not None)
         self.target_speed = self.speed if speed is None else speed
         self.target_lane = self.target_lane if lane is None else lane
 
@@ -83,10 +51,9 @@ class Ego:
         """
         session = self._session
         self.target_lane = follow_road(self._road, self.target_lane, self._route, *here[:2])
-        if self.crashed:
-            self.controls.command(True, True)
+        if self.vehicle.crashed:
             self.speed, distance = coast(self.speed, dt)
-        elif not self.controls.speed:
+        elif not self.vehicle.has_speed:
             distance = 0.0
         else:
             self.speed, distance = driven(self.speed, self.target_speed, self._acceleration, dt)
@@ -94,15 +61,15 @@ class Ego:
         if lane != self._lane:
             self._lane, self._stretch = lane, self._network.stretch(lane)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
-        if self.controls.speed:
-            session.vehicle.setSpeed(self._name, distance / session.step_length * self._stretch)
-        if not self.crashed:
+        if self.vehicle.has_speed:
+            self.vehicle.drive(distance / session.step_length * self._stretch)
+        if not self.vehicle.crashed:
             self._change_lane(lane)
         return distance
 
     def settle(self, dt: float) -> float:
         """After a step in which SUMO has chosen the speed; returns the distance that was covered [m]."""
-        if self.controls.speed:
+        if self.vehicle.has_speed:
             return 0.0
         self.speed = self._session.vehicle.getSpeed(self._name) / self._stretch
         return self.speed * self._session.step_length
@@ -110,7 +77,7 @@ class Ego:
     def _change_lane(self, lane: str) -> None:
         """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""
         start, end, place = self._network.indices[lane]
-        if not self.controls.may_change_lane():
+        if not self.vehicle.may_change_lane():
             self.target_lane = (*self.target_lane[:2], place) if self._road.oncoming else (start, end, place)
             return
         if lane.startswith(":"):

@@ -6,40 +6,20 @@ speeds, where braking keeps SUMO's car following and a surge switches it off. Af
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from sumo_env.contacts.rectangles import CAR
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.sumo.session import (
-    ALL_CHECKS_OFF,
-    COMMANDED_LANE_CHANGES,
-    HARD_BRAKING,
-    NO_RIGHT_OF_WAY,
-    NO_RULES,
-    OWN_LANE_CHANGES,
-    REGULAR,
-    Session,
-)
-from sumo_env.traffic.drivers import Calibration
+from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, NO_RULES, Session
+from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.risk import SWERVE_TIME, RiskEvent, free_way, has_room
-from sumo_env.traffic.scenario import Scenario, VehicleSpec
+from sumo_env.traffic.scenario import Scenario
 
 CUT_IN_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
 EARLY = 1e-9  # [s] rounding of sums of steps
-
-
-def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
-    """Speed mode and lane-change mode of a vehicle that SUMO drives."""
-    speed_mode, lane_change_mode = spec.driver.speed_mode, spec.driver.lane_change_mode
-    if speed_mode is None:
-        speed_mode = REGULAR if calibration.waits_for_approaching else NO_RIGHT_OF_WAY
-    if lane_change_mode is None:
-        changes = spec.changes_lanes and calibration.lane_changes
-        lane_change_mode = OWN_LANE_CHANGES if changes else COMMANDED_LANE_CHANGES
-    return speed_mode, lane_change_mode
 
 
 # The parameters of drivers in SUMO's words.
@@ -47,9 +27,9 @@ IN_SUMO = {"accel": ("Accel",), "emergency_decel": ("EmergencyDecel",), "decel":
 IN_SUMO |= {"tau": ("Tau",), "min_gap": ("MinGap",)}
 
 
-def deviate(session: Session, name: str, factors: Mapping[str, float]) -> None:
+def deviate(session: Session, vehicle: Vehicle, factors: Mapping[str, float]) -> None:
     """Multiply the parameters of a vehicle's own type by the factors of a risky driver (`drivers.deviation`)."""
-    of = session.vehicle
+    of, name = session.vehicle, vehicle.name
     for parameter, keys in IN_SUMO.items():
         factor = factors.get(parameter, 1.0)
         for key in keys if factor != 1.0 else ():  # each setter copies the vehicle's type
@@ -60,36 +40,25 @@ def deviate(session: Session, name: str, factors: Mapping[str, float]) -> None:
             present = float(of.getParameter(name, parameter))
             of.setParameter(name, parameter, f"{factor * present:.6g}")
     if not factors["gives_way"]:
-        of.setSpeedMode(name, NO_RULES)
+        vehicle.ignore_rules(NO_RULES)
 
 
 @dataclass
 class Push:
-    """A brake or a surge that is running; `commanded` is whether the vehicle has a commanded speed at present."""
+    """A brake or a surge that is running, or pauses."""
 
     event: RiskEvent
     end: float  # [s]
-    commanded: bool = False
 
 
 class Events:
-    """The risk events of one episode.
-
-    `modes` are those of the vehicles on the road (`modes`), `crashed` the vehicles for which all events are over; both
-    change.
-    """
+    """The risk events of one episode among the vehicles on the road, which change. Who has crashed has none."""
 
     def __init__(
-        self,
-        session: Session,
-        scenario: Scenario,
-        network: Network,
-        modes: Mapping[str, tuple[int, int]],
-        crashed: Container[str],
+        self, session: Session, scenario: Scenario, network: Network, road: Mapping[str, Vehicle]
     ) -> None:
         self._coming, self._count = list(reversed(scenario.events)), len(scenario.events)
-        self._session, self._network = session, network
-        self._modes, self._crashed = modes, crashed
+        self._session, self._network, self._road = session, network, road
         self._asks_for_markings = scenario.traffic is not None
         self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
         self._pushes: dict[str, Push] = {}
@@ -100,19 +69,24 @@ class Events:
             return
         while self._coming and self._coming[-1].time <= time + EARLY:
             event = self._coming.pop()
-            if event.vehicle in self._modes and event.vehicle not in self._crashed:
+            if self._may_act(event.vehicle):
                 if event.kind == "cut-in":
                     self._cut_in(event, time)
                 else:
                     self._pushes[event.vehicle] = Push(event, time + event.duration)
         for running in (self._cut_ins, self._pushes):
-            for name in [name for name in running if name not in self._modes or name in self._crashed]:
+            for name in [name for name in running if not self._may_act(name)]:
                 del running[name]
         for name in [name for name, end in self._cut_ins.items() if time >= end - EARLY]:
             del self._cut_ins[name]
             self._end_cut_in(name)
         for name, push in list(self._pushes.items()):
             self._push(name, push, time, dt)
+
+    def _may_act(self, name: str) -> bool:
+        """Whether a vehicle is on the road, and SUMO's but for events."""
+        vehicle = self._road.get(name)
+        return vehicle is not None and not vehicle.crashed and not vehicle.is_learning
 
     def imagine(self, events: Sequence[RiskEvent]) -> None:
         """Go on with these events; those that have begun are the same."""
@@ -131,7 +105,8 @@ class Events:
     @property
     def acting(self) -> frozenset[str]:
         """Names of the vehicles that an event commands now."""
-        return frozenset((*self._cut_ins, *(name for name, push in self._pushes.items() if push.commanded)))
+        pushed = (name for name in self._pushes if name in self._road and self._road[name].has_speed)
+        return frozenset(name for name in (*self._cut_ins, *pushed) if self._may_act(name))
 
     # -- cut-ins -------------------------------------------------------------------------------------------
 
@@ -151,7 +126,7 @@ class Events:
                 continue
             if self._asks_for_markings and not self._is_open(name, lane, beside):
                 continue
-            session.vehicle.setLaneChangeMode(name, COMMANDED_LANE_CHANGES)
+            self._road[name].hold_lanes()
             if oncoming:
                 session.vehicle.changeLaneRelative(name, 1, 0.0)
             else:
@@ -165,7 +140,7 @@ class Events:
         return self._session.may_change(lane, there, self._session.vehicle.getVehicleClass(name))
 
     def _has_room(self, name: str, lane: LaneIndex) -> bool:
-        states = self._session.read(self._modes)
+        states = self._session.read(self._road)
         x, y, speed, _ = states.pop(name)
         geometry = self._network.road.lane(lane)
         s, _ = geometry.local_coordinates(x, y)
@@ -180,33 +155,26 @@ class Events:
     def _end_cut_in(self, name: str) -> None:
         if self._network.road.oncoming:
             self._session.vehicle.changeLaneRelative(name, -1, 0.0)
-        else:
-            self._session.vehicle.setLaneChangeMode(name, self._modes[name][1])
+        self._road[name].free_lanes()
 
     # -- braking and surges --------------------------------------------------------------------------------
 
     def _push(self, name: str, push: Push, time: float, dt: float) -> None:
         """Command the speed of a braking or surging vehicle for one sub-step, or give it back to SUMO."""
-        session = self._session
-        event = push.event
+        vehicle, event = self._road[name], push.event
         ended = time >= push.end - EARLY
+        if ended:
+            del self._pushes[name]
         if ended or not self._may_push(event):
-            if push.commanded:
-                session.vehicle.setSpeedMode(name, self._modes[name][0])
-                session.vehicle.setSpeed(name, -1.0)
-                push.commanded = False
-            if ended:
-                del self._pushes[name]
+            vehicle.free_speed()
             return
-        if not push.commanded:
-            session.vehicle.setSpeedMode(name, HARD_BRAKING if event.kind == "brake" else ALL_CHECKS_OFF)
-            push.commanded = True
-        session.vehicle.setSpeed(name, max(session.vehicle.getSpeed(name) + event.accel * dt, 0.0))
+        vehicle.hold_speed(HARD_BRAKING if event.kind == "brake" else ALL_CHECKS_OFF)
+        vehicle.drive(max(self._session.vehicle.getSpeed(name) + event.accel * dt, 0.0))
 
     def _may_push(self, event: RiskEvent) -> bool:
         """A surge pauses while somebody is near straight ahead; a brake never does."""
         if event.kind == "brake":
             return True
-        states = self._session.read(self._modes)
+        states = self._session.read(self._road)
         vehicle = states.pop(event.vehicle)
         return free_way(vehicle, list(states.values()), event.way)

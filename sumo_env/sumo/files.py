@@ -18,8 +18,8 @@ from sumo_env.sumo.car import Car
 from sumo_env.sumo.events import deviate
 from sumo_env.sumo.options import OUTPUT_DIR
 from sumo_env.sumo.route_ego import RouteEgo
-from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.settings import file_settings
+from sumo_env.sumo.vehicle import OF_SUMO, Vehicle
 from sumo_env.sumo.world import GONE, SumoSimulator
 from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events
@@ -43,13 +43,14 @@ class FileSimulator(SumoSimulator):
         assert traffic is not None
         self._prepare(scenario)
         self._traffic, self._name = traffic, scenario.ego.id
-        self._came: list[str] = []  # learning cars that have departed
+        self._departed: list[Vehicle] = []  # learning cars that the agents have not taken yet
+        self._free = traffic.max_cars  # learning cars of a type that may still come
         self._models = dict(traffic.models)
         self._session.load(file_settings(scenario, self._options, self._episode_folder()))
         self._time = -inf  # no episode yet
         self._insert_ego(scenario, traffic)
         self._time = 0.0
-        for name in self._modes:
+        for name in self._road:
             self._plan(name, 0.0)
         self._take_wheels()
         return self._read()
@@ -57,9 +58,10 @@ class FileSimulator(SumoSimulator):
     def _take_wheels(self) -> None:
         """Learning cars that have departed are the agents' from now on."""
         energy, lights = self._traffic.measures_energy, self._scenario.obeys_lights
-        for name in self._came:
-            if name in self._modes and name not in self._cars:
-                self._take(name, RouteEgo(self._session, self._network, name, lights, energy))
+        for vehicle in self._departed:
+            if vehicle.name in self._road:
+                self._take(RouteEgo(self._session, self._network, vehicle, lights, energy))
+        self._departed = []
 
     def _episode_folder(self) -> Path:
         """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted with the simulator."""
@@ -97,8 +99,8 @@ class FileSimulator(SumoSimulator):
                 f"{origin.type!r}"
             )
         steps = 0
-        while not any(car in self._modes for car in self._came):
-            if self._came and self._is_alone:
+        while not any(vehicle.name in self._road for vehicle in self._departed):
+            if self._departed and self._is_alone:
                 raise SimulatorError(
                     f"the ego {name!r} has departed and left the road again before 'warm_up' ({traffic.warm_up:g} s) "
                     "was over"
@@ -117,7 +119,8 @@ class FileSimulator(SumoSimulator):
         """Whether a vehicle that departs is a learning car."""
         if self._traffic.car_type:
             is_one = self._session.type_of(name) == self._traffic.car_type
-            return is_one and len(self._came) < self._traffic.max_cars
+            self._free -= is_one
+            return is_one and self._free >= 0
         return name == self._name or name in self._scenario.further
 
     def _why_not_here(self, traffic: SumoTraffic) -> str:
@@ -143,9 +146,10 @@ class FileSimulator(SumoSimulator):
     def _come_and_go(self, commands: Commands) -> None:
         """Cars that are at their end, and have no command, are SUMO's from now on."""
         for name in [name for name, car in self._cars.items() if car.ego.ended and name not in commands]:
-            car = self._cars.pop(name)
-            if name in self._modes:
-                car.ego.controls.command(False, False)
+            ego = self._cars.pop(name).ego
+            if name in self._road:
+                ego.vehicle.command(False, False)
+                ego.vehicle.coasting = ego.speed
 
     def _note(self, reported: Sequence[tuple[str, str]]) -> None:
         """Crashes of others change nothing, as with ``sumo``; learning cars may have departed."""
@@ -156,18 +160,17 @@ class FileSimulator(SumoSimulator):
         session = self._session
         reported = self._step_sumo()
         for name in session.simulation.getDepartedIDList():
-            self._modes[name] = REGULAR, OWN_LANE_CHANGES
-            if self._is_learning(name):
-                self._came.append(name)
+            self._road[name] = vehicle = Vehicle(session, name, OF_SUMO, self._is_learning(name))
+            if vehicle.is_learning:
+                self._departed.append(vehicle)
             elif self._scenario.risk > 0.0:
-                self._make_risky(name)
+                self._make_risky(vehicle)
         for name in session.arrived:
-            self._modes.pop(name, None)
-            self._crashed.pop(name, None)
+            self._road.pop(name, None)
         for name, car in self._cars.items():
             if car.ego.ended:
                 continue
-            if name not in self._modes:
+            if name not in self._road:
                 car.ego.ended = "arrived" if car.ego.is_near_its_end(self._dt) else "removed"
             elif name in session.simulation.getStartingTeleportIDList():
                 car.ego.ended = "removed"
@@ -175,13 +178,14 @@ class FileSimulator(SumoSimulator):
 
     # -- risk ----------------------------------------------------------------------------------------------
 
-    def _make_risky(self, name: str) -> None:
+    def _make_risky(self, vehicle: Vehicle) -> None:
         """What the dose does to a vehicle that has come: its parameters, and its events once the episode has begun."""
+        name = vehicle.name
         if self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
             return
         model = self._models.get(self._session.type_of(name), "")
         drawn = self._traffic.ranges, self._scenario.risk, self._scenario.seed, name, model
-        deviate(self._session, name, deviation(*drawn))
+        deviate(self._session, vehicle, deviation(*drawn))
         if self._time >= 0.0:
             self._plan(name, self._time)
 
@@ -191,7 +195,7 @@ class FileSimulator(SumoSimulator):
     def _drawn(self, name: str, start: float) -> tuple[RiskEvent, ...]:
         """The events of a vehicle from `start` [s] on; its random stream has its own name."""
         scenario, traffic = self._scenario, self._traffic
-        if name in self._came or self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
+        if self._road[name].is_learning or self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
             return ()
         seed = scenario.seed if traffic.imagined is None else traffic.imagined
         drawn = draw_events(
@@ -203,7 +207,7 @@ class FileSimulator(SumoSimulator):
         """Go on with other risk events in place of those that have not begun."""
         assert scenario.traffic is not None
         self._scenario, self._traffic = scenario, scenario.traffic
-        self._events.replace([event for name in self._modes for event in self._drawn(name, self._time)])
+        self._events.replace([event for name in self._road for event in self._drawn(name, self._time)])
 
     # -- reading -------------------------------------------------------------------------------------------
 

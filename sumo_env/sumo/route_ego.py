@@ -12,9 +12,10 @@ from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import NOBODY, RED, YELLOW, Light, Neighbour, Place
 from sumo_env.simulator import EgoCommand
-from sumo_env.sumo.ego import Controls, coast, driven
-from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
+from sumo_env.sumo.ego import coast, driven
+from sumo_env.sumo.session import Session
 from sumo_env.sumo.surroundings import foe, neighbours
+from sumo_env.sumo.vehicle import Vehicle
 
 REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
 # [m/s2] usual and hardest braking before traffic lights; where one would need more than its own, the ego drives on
@@ -27,7 +28,7 @@ class RouteEgo:
     """The ego of one episode, from its departure on.
 
     Attributes:
-        speed: [m/s]; crashed: since a contact it only coasts to a stop.
+        speed: [m/s]; vehicle: it on the road.
         ended, ahead: see `Place`.
         red_light: whether it has run a red light since `obey`.
     """
@@ -36,18 +37,18 @@ class RouteEgo:
         self,
         session: Session,
         network: Network,
-        name: str,
+        vehicle: Vehicle,
         obeys_lights: bool,
         measures_energy: bool = False,
     ) -> None:
         """measures_energy: see `SumoTraffic`."""
-        self._session, self._network, self._name = session, network, name
+        name = vehicle.name
+        self._session, self._network, self._name, self.vehicle = session, network, name, vehicle
         self._obeys_lights, self._measures_energy = obeys_lights, measures_energy
         self._class = session.vehicle.getVehicleClass(name)
-        self.speed, self.crashed = session.vehicle.getSpeed(name), False
+        self.speed = session.vehicle.getSpeed(name)
         self.ended, self.red_light = "", False
         self._fuel = self._electricity = 0.0  # in this policy step
-        self.controls = Controls(session, name, (REGULAR, OWN_LANE_CHANGES), False, False)
         self._target_speed: float | None = None
         self._acceleration: float | None = None
         self._target_lane: LaneIndex | None = None
@@ -65,7 +66,7 @@ class RouteEgo:
         """Take over the command of a policy step, and give SUMO back what is not commanded."""
         self._left = self._remaining()
         self._fuel = self._electricity = 0.0
-        if self.crashed:
+        if self.vehicle.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
         self.read_lane()
@@ -73,15 +74,14 @@ class RouteEgo:
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index
         self.red_light = False
-        self.controls.command(self._target_speed is not None, self._target_lane is not None)
+        self.vehicle.command(self._target_speed is not None, self._target_lane is not None)
 
     def drive(self, here: State, dt: float) -> float:
         """Command the next step of `dt` [s]; `settle` says how far it gets."""
         session, name, before = self._session, self._name, self.speed
         self._signal = session.next_signal(name)
-        if self.crashed:
-            self.controls.command(True, True)
-            session.vehicle.setSpeed(name, coast(before, dt)[0])
+        if self.vehicle.crashed:
+            self.vehicle.drive(coast(before, dt)[0])
         elif self._target_speed is not None:
             of = session.vehicle
             accel, decel, hardest = of.getAccel(name), of.getDecel(name), of.getEmergencyDecel(name)
@@ -92,14 +92,14 @@ class RouteEgo:
                 speed = min(speed, max(allowed, before - hardest * dt, 0.0))
             if speed * dt > self.free:
                 self.ended = "missed turn"
-            session.vehicle.setSpeed(name, speed)
-        if not self.crashed:
+            self.vehicle.drive(speed)
+        if not self.vehicle.crashed:
             self._change_lane()
         return 0.0
 
     def _change_lane(self) -> None:
         """Ask for the target lane; SUMO changes there within the step, or in the time that its options say."""
-        if self._target_lane is not None and not self.controls.may_change_lane():
+        if self._target_lane is not None and not self.vehicle.may_change_lane():
             self._target_lane = self._index
         target = self._target_lane
         if target is None or target == self._index or target not in self._sides:

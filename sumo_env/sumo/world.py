@@ -23,11 +23,12 @@ from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo.car import Car
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.engine import LIBSUMO, window
-from sumo_env.sumo.events import Events, modes
+from sumo_env.sumo.events import Events
 from sumo_env.sumo.options import LIVE
 from sumo_env.sumo.proxy import plain
-from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
+from sumo_env.sumo.session import Session
 from sumo_env.sumo.settings import Settings, placed_settings
+from sumo_env.sumo.vehicle import OF_SUMO, Vehicle, modes
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
@@ -115,10 +116,11 @@ class SumoSimulator:
         self._scenario, self._network = scenario, scenario.network
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
-        self._modes: dict[str, tuple[int, int]] = {}  # vehicles on the road, with SUMO's modes
-        self._crashed: dict[str, float] = {}  # crashed vehicles but learning cars -> speed [m/s]
-        self._cars: dict[str, Car[Any]] = {}  # the learning cars on the road
-        self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
+        self._road: dict[str, Vehicle] = {}  # the vehicles on the road, learning cars among them
+        self._cars: dict[
+            str, Car[Any]
+        ] = {}  # the learning cars of the scene; of files, some may have left the road
+        self._events = Events(self._session, scenario, self._network, self._road)
 
     def _begin(self, scenario: Scenario) -> Scene:
         self._prepare(scenario)
@@ -132,11 +134,12 @@ class SumoSimulator:
         for spec in scenario.cars:
             self._place(spec)
         for spec in scenario.cars:
-            self._take(spec.id, Ego(self._session, scenario, self._network, spec))
+            self._take(Ego(self._session, scenario, self._network, spec, self._road[spec.id]))
         return self._read()
 
-    def _take(self, name: str, ego: Any) -> None:
+    def _take(self, ego: Any) -> None:
         """A learning car is on the road."""
+        name = ego.vehicle.name
         self._session.follow(name, is_first=not self._cars)
         self._cars[name] = Car(self._session, name, ego, self._network.meeting)
 
@@ -175,11 +178,16 @@ class SumoSimulator:
         size = spec.driver.size
         route, lane, position = self._network.place(spec.lane, spec.s, spec.destination, size[0] / 2.0)
         limit = self._network.road.lane(spec.lane).speed_limit
-        own, desired = (ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES), limit
-        if spec.id != EGO and spec.id not in self._scenario.further:
-            own, desired = modes(spec, self._scenario.calibration), min(spec.target_speed, limit)
-        self._session.add(spec.id, route, spec.driver.type, lane, position, spec.speed, desired, own, size)
-        self._modes[spec.id] = own
+        learns = spec.id == EGO or spec.id in self._scenario.further
+        desired, base = (
+            limit if learns else min(spec.target_speed, limit),
+            modes(spec, self._scenario.calibration),
+        )
+        vehicle = Vehicle(self._session, spec.id, base, is_learning=learns, held=learns)
+        self._session.add(
+            spec.id, route, spec.driver.type, lane, position, spec.speed, desired, vehicle.now, size
+        )
+        self._road[spec.id] = vehicle
 
     def _drive_warm_up(self) -> None:
         """Let the traffic drive before learning cars come, then make room (IntersectionEnv._make_vehicles)."""
@@ -194,7 +202,7 @@ class SumoSimulator:
             self._note(self._advance())
         self._time = 0.0
         self._let_in()
-        for name, state in self._session.read(self._modes).items():
+        for name, state in self._session.read(self._road).items():
             if any(math.hypot(state[0] - car.x, state[1] - car.y) < EGO_DISTANCE for car in scenario.cars):
                 self._remove(name)
 
@@ -255,14 +263,16 @@ class SumoSimulator:
                     "choose a shorter 'duration', or call reset() to begin another episode"
                 )
             self._forget(name)
-        return [pair for pair in reported if all(name in self._modes for name in pair)] if reported else ()
+        return [pair for pair in reported if all(name in self._road for name in pair)] if reported else ()
 
     def _step_sumo(self) -> Sequence[tuple[str, str]]:
         """One step in which the crashed vehicles coast; returns the pairs that SUMO reports in collision."""
-        for name, speed in self._crashed.items():
-            self._crashed[name], distance = coast(speed, self._dt)
-            stretch = self._network.stretch(self._session.vehicle.getLaneID(name))
-            self._session.vehicle.setSpeed(name, distance / self._session.step_length * stretch)
+        for name, vehicle in self._road.items():
+            if not vehicle.crashed or name in self._cars:
+                continue
+            vehicle.coasting, distance = coast(vehicle.coasting, self._dt)
+            if lane := self._session.vehicle.getLaneID(name):  # else SUMO is teleporting it
+                vehicle.drive(distance / self._session.step_length * self._network.stretch(lane))
         self._time += self._dt
         return self._session.step()
 
@@ -277,9 +287,9 @@ class SumoSimulator:
         """Crashes of the other traffic are those that SUMO reports; the first one of a learning car is its own."""
         cars = self._cars
         for pair in reported:
-            if not all(cars[name].ego.crashed for name in pair if name in cars):
+            if not all(self._road[name].crashed for name in pair if name in cars):
                 continue
-            if all(name in cars or name in self._crashed for name in pair):
+            if all(name in cars or self._road[name].crashed for name in pair):
                 continue
             states = self._session.read(pair)
             if is_confirmed(states[pair[0]], states[pair[1]], *self._session.halves(pair)):
@@ -288,23 +298,22 @@ class SumoSimulator:
                         self._crash(name)
 
     def _crash(self, name: str) -> None:
-        """From now on a vehicle coasts to a stop and stays where it is, as in highway-env."""
-        if name not in self._crashed:
-            self._crashed[name] = self._session.vehicle.getSpeed(name)
-            self._session.vehicle.setSpeedMode(name, ALL_CHECKS_OFF)
-            self._session.vehicle.setLaneChangeMode(name, COMMANDED_LANE_CHANGES)
+        """A vehicle that is no learning car has crashed."""
+        if name not in self._road:  # somebody else has added it
+            self._road[name] = Vehicle(self._session, name, OF_SUMO)
+        self._road[name].crash(self._session.vehicle.getSpeed(name))
 
     # -- vehicles that come and go (intersection) ----------------------------------------------------------
 
     def _let_out(self, commands: Commands) -> None:
         """Remove vehicles without a command near the end of an exit, and those that a user of libsumo has removed."""
         present = self._session.vehicles()
-        if len(present) != len(self._modes):
-            for name in set(self._modes).difference(present):
+        if len(present) != len(self._road):
+            for name in set(self._road).difference(present):
                 self._forget(name)
         if not self._network.road.clears_exits:
             return
-        for name, state in self._session.read(n for n in self._modes if n not in commands).items():
+        for name, state in self._session.read(n for n in self._road if n not in commands).items():
             start, end, place = self._network.indices[self._session.vehicle.getLaneID(name)]
             lane = self._network.road.lane((start, end, place))
             if (
@@ -317,7 +326,7 @@ class SumoSimulator:
         """Try to add the vehicles that the scenario sends now."""
         coming = [spawn.vehicle for spawn in self._scenario.spawns if spawn.step == self._steps_done]
         if coming:
-            centres = [state[:2] for state in self._session.read(self._modes).values()]
+            centres = [state[:2] for state in self._session.read(self._road).values()]
             for spec in coming:
                 if fits(spec, centres):
                     self._place(spec)
@@ -328,8 +337,8 @@ class SumoSimulator:
         self._forget(name)
 
     def _forget(self, name: str) -> None:
-        for known in (self._modes, self._crashed, self._cars):
-            known.pop(name, None)
+        self._road.pop(name, None)
+        self._cars.pop(name, None)
 
     # -- reading -------------------------------------------------------------------------------------------
 
@@ -344,12 +353,13 @@ class SumoSimulator:
         states |= self._session.read([name for name in ids if name not in states])
         x, y, speed, heading = map(np.array, zip(*[states[name] for name in ids], strict=True))
         crashed = np.zeros(len(ids), np.bool_)
-        crashed[: len(cars)] = [car.ego.crashed for car in cars.values()]
-        if self._crashed:
-            for row, name in enumerate(ids):
-                if name in self._crashed:  # a commanded speed, as the ego's
-                    crashed[row], speed[row] = True, self._crashed[name]
-        sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
+        crashed[: len(cars)] = [car.ego.vehicle.crashed for car in cars.values()]
+        for row, name in enumerate(ids[len(cars) :], len(cars)):
+            vehicle = self._road.get(name)
+            if vehicle is not None and vehicle.crashed:  # a commanded speed, as the ego's
+                crashed[row], speed[row] = True, vehicle.coasting
+        present = set(ids) if self._session.sizes else ()
+        sizes = {name: size for name, size in self._session.sizes.items() if name in present}
         return Scene(
             *(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting, sizes),
             *(seen[0] if seen else (NO_LIGHT, None)),
@@ -359,10 +369,10 @@ class SumoSimulator:
 
     def _others(self) -> list[str]:
         """The vehicles but learning cars: first those of the scenario, then those that somebody else has added."""
-        known = [name for name in self._modes if name not in self._cars]
+        known = [name for name in self._road if name not in self._cars]
         present = self._session.vehicles()
         if len(present) > len(known) + len(self._cars):
-            known += [name for name in present if name not in self._modes]
+            known += [name for name in present if name not in self._road]
         return known
 
     def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:

@@ -1,0 +1,119 @@
+"""Who commands a vehicle on the road: SUMO, or one of those who take its speed or its lanes, and give them back.
+
+The agent takes those of a learning car, an event of risk those of a driver, and a crash those of anybody, for good.
+No other module sets modes.
+"""
+
+from __future__ import annotations
+
+from sumo_env.sumo.session import (
+    ALL_CHECKS_OFF,
+    COMMANDED_LANE_CHANGES,
+    NO_RIGHT_OF_WAY,
+    OWN_LANE_CHANGES,
+    REGULAR,
+    Session,
+)
+from sumo_env.traffic.drivers import Calibration
+from sumo_env.traffic.scenario import VehicleSpec
+
+OF_SUMO = REGULAR, OWN_LANE_CHANGES  # modes in which SUMO's vehicles begin
+
+
+def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
+    """Speed mode and lane-change mode of a vehicle that SUMO drives."""
+    speed_mode, lane_change_mode = spec.driver.speed_mode, spec.driver.lane_change_mode
+    if speed_mode is None:
+        speed_mode = REGULAR if calibration.waits_for_approaching else NO_RIGHT_OF_WAY
+    if lane_change_mode is None:
+        changes = spec.changes_lanes and calibration.lane_changes
+        lane_change_mode = OWN_LANE_CHANGES if changes else COMMANDED_LANE_CHANGES
+    return speed_mode, lane_change_mode
+
+
+class Vehicle:
+    """A vehicle on the road.
+
+    Attributes:
+        is_learning: whether it has come as a learning car.
+        now: its speed mode and its lane-change mode.
+        has_speed, has_lanes: whether its speed, and its lanes, are commanded; else they are SUMO's.
+        crashed: whether it has; then it only coasts to a stop, and nothing is SUMO's any more.
+        coasting: speed of a crashed vehicle that is no learning car [m/s].
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        name: str,
+        base: tuple[int, int],
+        is_learning: bool = False,
+        held: bool = False,
+    ) -> None:
+        """base: speed mode and lane-change mode in which SUMO drives it; held: whether it comes commanded."""
+        self._session, self.name, self._base, self.is_learning = session, name, base, is_learning
+        self.now = (ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES) if held else base
+        self.has_speed = self.has_lanes = held
+        self.crashed, self.coasting = False, 0.0
+        self._is_changing = False  # whether a lane change of SUMO's may still be running
+
+    def ignore_rules(self, speed_mode: int) -> None:
+        """From now on SUMO drives it in another speed mode."""
+        self._base = speed_mode, self._base[1]
+        self._set(speed_mode, self.now[1])
+
+    def hold_speed(self, mode: int = ALL_CHECKS_OFF) -> None:
+        """From now on its speed is commanded (`drive`), in this speed mode."""
+        if not self.crashed:
+            self.has_speed = True
+            self._set(mode, self.now[1])
+
+    def drive(self, speed: float) -> None:
+        """Command the speed of the next step [m/s]."""
+        self._session.vehicle.setSpeed(self.name, speed)
+
+    def free_speed(self) -> None:
+        """Give the speed back to SUMO, if it is commanded."""
+        if self.has_speed and not self.crashed:
+            self.has_speed = False
+            self._set(self._base[0], self.now[1])
+            self.drive(-1.0)
+
+    def hold_lanes(self) -> None:
+        """From now on its lane changes are commanded."""
+        if not self.has_lanes:
+            self.has_lanes = self._is_changing = True
+            self._set(self.now[0], COMMANDED_LANE_CHANGES)
+
+    def free_lanes(self) -> None:
+        """Give the lane changes back to SUMO, if they are commanded."""
+        if self.has_lanes and not self.crashed:
+            self.has_lanes = False
+            self._set(self.now[0], self._base[1])
+
+    def command(self, speed: bool, lanes: bool) -> None:
+        """From now on its speed, its lane changes, both or neither are commanded."""
+        if speed != self.has_speed:
+            (self.hold_speed if speed else self.free_speed)()
+        if lanes != self.has_lanes:
+            (self.hold_lanes if lanes else self.free_lanes)()
+
+    def may_change_lane(self) -> bool:
+        """Whether a lane may be commanded: once lanes are taken from SUMO, it ends the change that it has begun."""
+        self._is_changing = self._is_changing and self._session.changes_lane(self.name)
+        return self.has_lanes and not self._is_changing
+
+    def crash(self, speed: float) -> None:
+        """From now on it coasts to a stop from its `speed` [m/s], and stays where it is, as in highway-env."""
+        if not self.crashed:
+            self.hold_speed()
+            self.hold_lanes()
+            self.crashed, self.coasting = True, speed
+
+    def _set(self, speed_mode: int, lane_change_mode: int) -> None:
+        of, before = self._session.vehicle, self.now
+        self.now = speed_mode, lane_change_mode
+        if speed_mode != before[0]:
+            of.setSpeedMode(self.name, speed_mode)
+        if lane_change_mode != before[1]:
+            of.setLaneChangeMode(self.name, lane_change_mode)

@@ -1,0 +1,137 @@
+"""Whoever takes a vehicle's speed or lanes from SUMO gives them back: nothing commanded is left on other vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import libsumo
+import numpy as np
+import pytest
+
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand, Step
+from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, NO_RULES, OWN_LANE_CHANGES, REGULAR
+from sumo_env.sumo.vehicle import modes
+from sumo_env.sumo.world import SumoSimulator
+from sumo_env.tasks import TASKS
+from sumo_env.traffic.drivers import deviation
+from sumo_env.traffic.risk import RiskEvent, RiskRates, pushes
+from sumo_env.traffic.scenario import Scenario
+from tests.sumo_env.plans import needs_sumo
+from tests.sumo_env.scenario import files
+from tests.sumo_env.scenarios import draw
+
+HZ = 10  # of policy steps too, so that every sub-step is looked at
+KINDS = ("cut-in", "brake", "surge")
+ENOUGH = pytest.param(range(2, 60), marks=pytest.mark.long)
+WATCHED = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}  # SUMO drives
+WRECKED = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES
+FURTHER = 1e-6  # [m/s] that a speed may differ from SUMO's own
+
+
+def event(kind: Any, vehicle: str, time: float, rng: np.random.Generator) -> RiskEvent:
+    more = {"direction": int(rng.choice([-1, 1])), **pushes(RiskRates()).get(kind, {})}
+    if kind == "surge":
+        more["way"] = float(rng.choice([10.0, 40.0, 200.0]))
+    return RiskEvent(time, vehicle, kind, **more)
+
+
+def overlapping(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    """Each vehicle has two events at most three seconds apart, of all pairs of kinds in turn, and some a third one."""
+    events, pairs = [], list(product(KINDS, KINDS))
+    for number, spec in enumerate(rng.permutation([spec.id for spec in scenario.vehicles]).tolist()):
+        start = float(rng.uniform(0.0, 3.0))
+        kinds = [*pairs[(number + int(rng.integers(9))) % 9], *rng.choice(KINDS, int(rng.integers(2)))]
+        times = [start, *(start + rng.uniform(0.0, 3.0, len(kinds) - 1)).tolist()]
+        events += [event(kind, spec, time, rng) for kind, time in zip(kinds, times, strict=True)]
+    return replace(scenario, events=tuple(sorted(events, key=lambda event: event.time)))
+
+
+class Watch:
+    """Looks for vehicles that are commanded, though no event does it, and for crashed ones that are not."""
+
+    def __init__(self, base: Callable[[str], tuple[int, int]]) -> None:
+        """base: the modes in which SUMO drives a vehicle."""
+        self._base, self._slower = base, set[str]()
+
+    def found(self, scene: Scene) -> list[str]:
+        """What is wrong after a sub-step."""
+        found, of, before = [], libsumo.vehicle, self._slower
+        self._slower = set()
+        for row, name in enumerate(scene.ids):
+            if row < scene.cars or name in scene.in_event or not of.getLaneID(name):
+                continue
+            now, own = (of.getSpeedMode(name), of.getLaneChangeMode(name)), of.getSpeedWithoutTraCI(name)
+            wanted = WRECKED if scene.crashed[row] else self._base(name)
+            if now != wanted:
+                found.append(f"{scene.time} s, {name}: modes {now}, not {wanted}")
+            if not scene.crashed[row] and abs(of.getSpeed(name) - own) > FURTHER:
+                self._slower.add(name)
+                # for one step it may be SUMO's emergency stop, after a surge up to a red light
+                if name in before:
+                    found.append(f"{scene.time} s, {name}: {of.getSpeed(name)} m/s, by itself {own}")
+        return found
+
+
+def of_files(scenario: Scenario, name: str) -> tuple[int, int]:
+    """The modes in which SUMO drives a vehicle of files at risk 1."""
+    assert scenario.traffic is not None
+    models = dict(scenario.traffic.models)
+    model = models.get(libsumo.vehicle.getTypeID(name).partition("@")[0], "")
+    gives_way = deviation(scenario.traffic.ranges, 1.0, scenario.seed, name, model)["gives_way"]
+    return REGULAR if gives_way else NO_RULES, OWN_LANE_CHANGES
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("seeds", [range(2), ENOUGH])
+def test_after_any_events_a_vehicle_of_a_task_is_sumo_s(
+    simulator: SumoSimulator, task: str, seeds: range
+) -> None:
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        level = list(TASKS[task].levels.values())[-1]
+        drawn = draw(
+            task, seed, **{**level, "simulation_frequency": HZ, "policy_frequency": HZ, "risk": seed % 2}
+        )
+        scenario = overlapping(drawn, rng)
+        specs = {spec.id: spec for spec in (*scenario.vehicles, *(one.vehicle for one in scenario.spawns))}
+        watch = Watch({name: modes(spec, scenario.calibration) for name, spec in specs.items()}.__getitem__)
+        simulator.reset(scenario)
+        speed, lane, acted = scenario.ego.speed, scenario.ego.lane, set[str]()
+        for _ in range(9 * HZ):
+            step: Step = simulator.step({"ego": EgoCommand(speed, lane)})
+            lane = step.ego.target_lane
+            acted |= step.scene.in_event
+            assert watch.found(step.scene) == []
+            if step.ego.crash and step.scene.time > 8.0:
+                break
+        assert len(acted) > 1
+
+
+@needs_sumo
+@pytest.mark.parametrize("name", ["static", "actuated"])
+@pytest.mark.parametrize("seeds", [range(2), ENOUGH])
+def test_after_any_events_a_vehicle_of_files_is_sumo_s(tmp_path: Path, name: str, seeds: range) -> None:
+    """Drivers that do not give way do not give way after an event either."""
+    config = {"risk": 1.0, "policy_frequency": HZ, "duration": 40, "action": WATCHED}
+    env = SumoDrivingEnv(files.written(tmp_path / name, name), ego_vehicle="ego", config=config)
+    rates = {"cut_in": 0.3, "brake": 0.3, "surge": 0.3}
+    acted = set[str]()
+    for seed in seeds:
+        env.reset(seed=seed, options={"risk_rates": rates})
+        watch = Watch(partial(of_files, env.scenario))
+
+        over = False
+        while not over:
+            *_, over, late, _ = env.step(0)
+            acted |= env.scene.in_event
+            assert watch.found(env.scene) == []
+            over = over or late
+    env.close()
+    assert len(acted) > 10

@@ -22,7 +22,7 @@ from sumo_env.config import ConfigError
 from sumo_env.contacts.measures import NEAR_MISS_TTC
 from sumo_env.interface import actions_of, seeds_of
 from sumo_env.replica import batch as kernels
-from sumo_env.replica import draws, seeded, tables
+from sumo_env.replica import draws, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SIDES, SPEEDS, EnvParams, Start
 from sumo_env.replica.compiled import compile_notice
 from sumo_env.replica.env import ReplicaEnv
@@ -94,7 +94,6 @@ class ReplicaVectorEnv(VectorEnv):
         self._ahead: dict[int, tuple[Start, Any]] = {}
         self._over = np.zeros(num_envs, np.bool_)
         self._params: Any = None  # a `EnvParams`, from the first reset on
-        self._draws: seeded.Draws | None = None  # where compiled code draws the episodes
         self._controls = np.zeros((num_envs, 2))  # accelerations and angles of egos that are steered
         assert single.form is not None
         self._batch = kernels.no_episodes(num_envs, single.form.rows, len(single.form.features))
@@ -129,7 +128,6 @@ class ReplicaVectorEnv(VectorEnv):
         if first:
             with compile_notice(kernels.drive):
                 kernels.drive(self._params, self._batch, np.zeros(0, np.int64), self._controls, 0, 0)
-                self._begin_next(np.zeros(0, np.int64))
         self._over &= ~mask
         self._drive(np.where(mask, AFRESH, NOTHING))
         return self._batch.observations.copy(), self._infos(self._told(None, mask), mask)
@@ -186,14 +184,8 @@ class ReplicaVectorEnv(VectorEnv):
 
     def _begin_next(self, rows: NDArray[np.int64]) -> None:
         """Begin the next episodes of these environments."""
-        if self._draws is None:
-            for row in rows.tolist():
-                self._begin(row, self._next(row))
-            return
-        seeds = np.array([self._generators[row].integers(2**31) for row in rows.tolist()], np.int64)
-        done = seeded.begin(self._draws, self._batch, rows, seeds)
-        for row, seed in zip(rows[~done].tolist(), seeds[~done].tolist(), strict=True):
-            self._begin(row, self._single.replica.load(self._single.task.scenario(self._single._law, seed)))
+        for row in rows.tolist():
+            self._begin(row, self._next(row))
 
     def _next(self, row: int) -> Start:
         """The episode that an environment begins after the end of another."""
@@ -220,9 +212,6 @@ class ReplicaVectorEnv(VectorEnv):
         single, replica, names = self._single, self._single.replica, self._single.actions.values()
         assert single.form is not None
         kind, rules = single._action_type, replica.start.rules
-        if not (single.is_stock or single._is_linear):
-            first = nearest_index(replica.start.cars["speed"].item(0), single.target_speeds)
-            self._draws = seeded.draws_of(single.task, single._law, replica.lanes, first)
         if isinstance(kind, ContinuousAction):
             rules = steered(rules, kind.speed_range, kind.dynamical)
         return EnvParams(
@@ -262,7 +251,7 @@ class ReplicaVectorEnv(VectorEnv):
             ends = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
             of_all = params, table, actions, self._controls
             parts = [self._pool.submit(kernels.drive, *of_all, *part) for part in pairwise(ends)]
-            if not self._single.is_stock and self._draws is None:
+            if not self._single.is_stock:
                 while not all(part.running() or part.done() for part in parts):
                     time.sleep(PATIENCE)  # while Python draws, no thread could begin
                 self._draw_ahead(parts)

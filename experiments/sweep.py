@@ -100,11 +100,16 @@ def sweep(
             return compute_one(options.cell, mine, options.directory, make_env)
         Store(options.directory).write_sweep(again, cells)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
-        if len(failures) < len(mine):
+        if len(failures) < len(mine) == len(cells):  # a shard alone is no study to report
             from experiments.report import print_report
 
             print("writing the report", flush=True)
-            print_report(options.directory)
+            try:
+                print_report(options.directory)
+            except UserError as error:
+                if not failures:
+                    raise
+                print(f"no report: {error}", file=sys.stderr)
     return say_failures(failures, options.directory, again)
 
 

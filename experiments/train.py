@@ -72,8 +72,6 @@ def agent_and_others(options: Options) -> tuple[Cell, list[Cell]]:
     """
     if options.risk not in ARMS:
         raise unknown("risk", options.risk, ARMS)
-    if options.seed < 0:
-        raise UserError(f"--seed takes 0 or more, not {options.seed}")
     cells = cells_of(
         Experiment(
             backend=options.backend,

@@ -242,6 +242,20 @@ def test_a_stopped_sweep_says_how_to_go_on_and_leaves_no_process(tmp_path, numbe
     wait_for(lambda: not any(map(is_alive, workers)))
 
 
+def test_a_shard_that_has_computed_everything_is_well_and_writes_no_report(
+    tmp_path, monkeypatch, capsys, here
+):
+    """As under a preset whose plan has no report of a part of the study."""
+
+    def incomplete(directory):
+        raise UserError("no setting is complete yet")
+
+    monkeypatch.setattr("experiments.report.print_report", incomplete)
+    assert [run(tmp_path, shard=f"{part}/2") for part in (1, 2)] == [0, 0]
+    with pytest.raises(UserError, match="no setting is complete"):
+        run(tmp_path)
+
+
 def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_path):
     """Every cell in this process, in another order."""
     tasks = {task.name: task for task in tasks_of(tmp_path)}

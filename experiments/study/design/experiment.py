@@ -14,7 +14,7 @@ import tyro
 from agents.plugins import foreign
 from agents.rules import CAUTIONS, POLICIES
 from experiments.backends import BACKENDS
-from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, PAIRS
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERS, PAIRS
 from experiments.study.design.estimators import RULE, digest
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import (
@@ -169,6 +169,9 @@ class Experiment:
         for arm in arms:
             if arm not in EVERY_ARM:
                 raise unknown("arm", arm, EVERY_ARM)
+        for seed in (self.first_seed, self.first_seed + seeds - 1):
+            if seed not in NUMBERS:
+                raise UserError(f"the number of a training is from 0 to {NUMBERS[-1]}, not {seed}")
         profile = self.profile(common.task)
         for seed in range(self.first_seed, self.first_seed + seeds):
             for arm in arms:

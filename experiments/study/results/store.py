@@ -151,7 +151,8 @@ class Store:
             files: data frames by name (parquet), or paths of files to take over.
 
         Raises:
-            OSError: the disk is full or the directory cannot be written; nothing is stored then.
+            Wrong: it is not what a reader takes (`schema`). OSError: the disk is full or the directory cannot be
+                written. Nothing is stored then.
         """
         staged = self.work / cell.name / f"finished-{socket.gethostname()}-{os.getpid()}"
         shutil.rmtree(staged, ignore_errors=True)
@@ -169,6 +170,11 @@ class Store:
             **record,
             "files": {name: sha256_file(staged / name) for name in sorted(files)},
         }
+        check_record(cell.name, value)
+        for name, content in files.items():
+            if isinstance(content, pd.DataFrame):
+                check_episodes(name, content)
+                check_rows(value["key"], name, content)
         write_file(staged / CELL, seal(value))
         publish(staged, made(self.cells) / cell.name)
 

@@ -140,3 +140,9 @@ def test_learners_from_elsewhere_have_the_steps_of_the_second_study(learner: str
     assert len(ours) == 5
     for preset in ("rl-agents-dueling", "rl-agents-attention"):
         assert steps(preset=preset, learner=learner) == ours
+
+
+@pytest.mark.parametrize("first", [-1, 10**9 - 1])
+def test_a_training_whose_number_could_not_be_stored_is_refused_at_the_start(first: int) -> None:
+    with pytest.raises(UserError, match="number of a training"):
+        cells(first_seed=first)

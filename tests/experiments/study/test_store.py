@@ -6,12 +6,13 @@ import contextlib
 import pickle
 import shutil
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
+from agents.schema import Wrong
 from experiments.study.compute.run import attempt
 from experiments.study.design import grid
 from experiments.study.results import store
@@ -29,9 +30,30 @@ def test_writing_twice_keeps_the_first(results, cells):
     home = store.Store(results)
     path = results / "cells" / cells[-1].name
     before = (path / store.CELL).read_bytes()
-    home.write(cells[-1], {"timing": "other"}, {store.EPISODES: pd.DataFrame({"return": [1.0]})})
+    tables = home.tables(cells[-1].name)
+    other = tables[store.EPISODES].assign(distance=0.0)
+    home.write(cells[-1], {"timing": {}}, {**tables, store.EPISODES: other})
     assert (path / store.CELL).read_bytes() == before
     assert not list(home.work.glob("*/*"))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda cell, files: (replace(cell, seed=10**9), files),
+        lambda cell, files: (replace(cell, eval={**cell.eval, "episodes": 4}), files),
+        lambda cell, files: (cell, {**files, store.EPISODES: files[store.EPISODES].assign(distance=np.nan)}),
+        lambda cell, files: (cell, {**files, store.EPISODES: files[store.EPISODES].drop(columns="return")}),
+    ],
+)
+def test_what_a_reader_would_refuse_is_not_stored(finished, tmp_path, cells, change):
+    """Else a cell could be computed, found to be damaged and computed again without an end."""
+    home, name = store.Store(finished), cells[0].name
+    record, tables = home.record(name), home.tables(name)
+    cell, files = change(cells[0], {**tables, store.WEIGHTS: home.weights(name)})
+    with pytest.raises(Wrong):
+        store.Store(tmp_path).write(cell, {part: record[part] for part in ("timing", "learner")}, files)
+    assert not list(tmp_path.glob("cells/*"))
 
 
 @pytest.mark.parametrize("file", [store.CELL, store.EPISODES, store.TRAINING, store.WEIGHTS])

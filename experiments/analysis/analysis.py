@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -111,10 +111,11 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         *transfers(episodes),
     ]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
+    at_the_end = replace(plan, looks=())
     mean = [
         means(at_looks[at_looks["arm"] == "treatment"], plan, outcomes=outcomes),
-        means(crashes.assign(look=0), leave_one_out=True),
-        *map(means, beside),
+        means(crashes.assign(look=0), at_the_end, leave_one_out=True),
+        *(means(frame, at_the_end) for frame in beside),
     ]
     effects = pd.concat([effects, *beside], ignore_index=True)
     effects = effects.drop_duplicates(KEY, ignore_index=True)  # what the plan tests stands first

@@ -1,7 +1,7 @@
 """Which stored cells may be compared with each other.
 
-A result directory may hold cells of several settings (another budget, other versions). They are never mixed: for each
-task and traffic level one setting is analysed, the others are set aside and named.
+A result directory may hold cells of several groups (another budget, other versions). They are never mixed: for each
+task and traffic level, and each arm and kind of test there, one group is analysed; the others are set aside and named.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ ALONE = "no agents of both arms with its settings to compare with"
 def comparable(results: Results) -> tuple[Results, dict[str, str]]:
     """The cells that may be compared with each other, and the names of the others with the reason why not.
 
-    For each task and level: the setting that the last sweep asked for, else the one with most cells. Baselines must
-    have been tested in the same environment, on the same scenarios and under the same versions. Further arms, and tests
-    on other simulators, must be of agents trained and tested as those of both arms are.
+    For each task and level the latest group of both arms decides. Baselines must have been tested in its environment,
+    on its scenarios and under its versions; further arms and tests must be of agents trained and tested as it says. Of
+    what fits, each arm, policy and kind of test has a latest group of its own (`_latest`).
     """
     left_out: dict[str, str] = {}
     places: dict[tuple[Any, ...], dict[str, Cell]] = {}
     for name, cell in results.cells.items():
         places.setdefault(tuple(cell["key"][column] for column in SETTING), {})[name] = cell
     for cells in places.values():
-        left_out |= _of_other_settings(cells, results.expected)
+        left_out |= _of_other_groups(cells, results.expected)
     return leave_out(results, left_out), left_out
 
 
@@ -46,41 +46,77 @@ def is_main(cell: Cell) -> bool:
     return kind == "baseline" or (kind == "agent" and cell["key"]["arm"] in ARMS)
 
 
-def _of_other_settings(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, str]:
-    """The cells of a task and level that were computed with other settings, with the reason."""
-    settings = {name: _settings(cell) for name, cell in cells.items()}
+def _of_other_groups(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, str]:
+    """The cells of a task and level that belong to another group, with the reason."""
+    groups = {name: group(cell) for name, cell in cells.items()}
     main = [name for name, cell in cells.items() if is_main(cell)]
     agents = [name for name in main if cells[name]["key"]["kind"] == "agent"]
     if not main:
         return dict.fromkeys(cells, ALONE)
-    groups: dict[str, list[str]] = {}
-    for name in agents or main:
-        groups.setdefault(canonical_json(settings[name]), []).append(name)
-    latest = {name: number for number, name in enumerate(expected)}  # the last sweep stands last
-    best = max(
-        groups, key=lambda group: (max(latest.get(n, -1) for n in groups[group]), len(groups[group]), group)
-    )
-    reference, found = settings[groups[best][0]], {}
-    for name, own in settings.items():
-        if name in main:
-            names = [n for n in sorted({*own, *reference}) if name in agents or n.startswith(ENVIRONMENT)]
-            pairs = [(n, own.get(n), reference.get(n)) for n in names]
-            differing = [f"{n} {mine} instead of {theirs}" for n, mine, theirs in pairs if mine != theirs]
-            found[name] = ", ".join(differing[:3])
+    reference, found = _latest(agents or main, groups, expected), {}
+    for name, own in groups.items():
+        if name in agents:
+            found[name] = _differing(own, reference)
+        elif name in main:
+            asked = {n: value for n, value in reference.items() if n.startswith(ENVIRONMENT)}
+            found[name] = _differing({n: own[n] for n in own if n.startswith(ENVIRONMENT)}, asked)
         elif not agents or not reference.items() <= own.items():
             found[name] = ALONE
+    places: dict[tuple[Any, ...], list[str]] = {}
+    for name in (name for name in cells if not found.get(name)):
+        places.setdefault(_place(cells[name]["key"]), []).append(name)
+    for names in places.values():
+        best = _latest(names, groups, expected)
+        found |= {name: _differing(groups[name], best) for name in names}
     return {name: reason for name, reason in found.items() if reason}
 
 
-def _settings(cell: Cell) -> dict[str, Any]:
-    """What a cell is computed with, flat; the preset is a label and no setting."""
-    key, versions = cell["key"], cell["versions"]
-    flat = {f"{part} {name}": value for part in ("env_config", "eval") for name, value in key[part].items()}
-    flat |= {f"version of {name}": value for name, value in versions.items()}
-    flat["dynamics"] = key.get("dynamics")
-    if key["arm"]:
-        flat["learner"] = key["policy"]
-    return flat | {name: value for name, value in key["profile"].items() if name != "preset"}
+def _place(key: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What a cell is there for at its task and level, whatever its group: an arm or a policy, and a kind of test."""
+    test = key.get("test_on") or {}
+    return key["arm"] or key["policy"], test.get("backend"), *sorted(test.get("traffics", ()))
+
+
+def _latest(
+    names: Sequence[str], groups: Mapping[str, dict[str, Any]], expected: Sequence[str]
+) -> dict[str, Any]:
+    """The group of these cells that the last sweep asked for, else the one with most of them."""
+    members: dict[str, list[str]] = {}
+    for name in names:
+        members.setdefault(canonical_json(groups[name]), []).append(name)
+    order = {name: number for number, name in enumerate(expected)}  # the last sweep stands last
+    best = max(members.items(), key=lambda one: (max(order.get(n, -1) for n in one[1]), len(one[1]), one[0]))
+    return groups[best[1][0]]
+
+
+def _differing(own: Mapping[str, Any], reference: Mapping[str, Any]) -> str:
+    """In what a group differs from another; empty if it does not."""
+    pairs = [(name, own.get(name), reference.get(name)) for name in sorted({*own, *reference})]
+    return ", ".join(
+        [f"{name} {mine} instead of {theirs}" for name, mine, theirs in pairs if mine != theirs][:3]
+    )
+
+
+def group(cell: Cell) -> dict[str, Any]:
+    """What a cell is computed with, flat: all of its key and versions but the kind, arm, seed and preset.
+
+    Cells of one place that differ in it are of two versions, and never share a mean.
+    """
+    key = {
+        name: value for name, value in cell["key"].items() if name not in ("kind", "arm", "seed", "policy")
+    }
+    flat = {f"version of {name}": value for name, value in cell["versions"].items()}
+    flat |= {name: value for name, value in key.pop("profile").items() if name != "preset"}
+    if cell["key"]["arm"]:
+        flat["learner"] = cell["key"]["policy"]
+    for name, value in key.items():
+        flat |= (
+            {f"{name} {entry}": inner for entry, inner in value.items()}
+            if isinstance(value, dict)
+            else {name: value}
+        )
+    flat.pop("pair agents", None)  # whose seeds they are
+    return flat
 
 
 def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[str, str]:

@@ -70,7 +70,7 @@ def claims(effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan = DEFAULT) ->
 
 
 def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
-    """Gain without price: every bound of the plan's, in the settings that can be survived.
+    """Gain without price: every bound of the plan's, in those of its settings that can be survived.
 
     Args:
         effects: from `effects.contrasts`.
@@ -80,6 +80,7 @@ def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
         high (the limits of one-sided tests at alpha each), verdict (contradicted: the whole interval is beyond the
         margin) and detectable: the margin that would be kept to with the plan's power if there were no difference.
     """
+    effects = effects[plan.covers(effects)]
     places = zip(effects["task"], effects["level_name"], strict=True)
     survived = pd.Series([name not in plan.hopeless.get(task, ()) for task, name in places], effects.index)
     crashes = effects[survived & (effects["outcome"] == "crashed") & (effects["scenarios"] == "own")]

@@ -134,10 +134,10 @@ def means(
     leave_one_out: bool = False,
     outcomes: Mapping[str, Outcome] = OUTCOMES,
 ) -> pd.DataFrame:
-    """Means of effects over settings: every task counts alike, and in a task every level.
+    """Means of effects over the plan's settings: every task counts alike, and in a task every level.
 
     They are over the levels of each task, and over all tasks if the outcome means the same on every task; or over all
-    tasks but one (`leave_one_out`), in turn.
+    tasks but one (`leave_one_out`), in turn. A task that the plan does not name has a mean of its own.
 
     Args:
         effects: at all looks of the plan.
@@ -147,12 +147,16 @@ def means(
         of agents the sums), settings (their number) and side: "better" or "worse" for the arm if p is below alpha,
         "open" if not; empty for outcomes of which neither more nor less is better.
     """
+    planned = plan.covers(effects)
+    effects = effects[planned | ~effects["task"].isin([*plan.tasks])]
+    own = effects["task"].isin([*plan.tasks])
     tasks = effects["task"].unique()
     if leave_one_out:
-        scopes = {f"without {task}": effects["task"] != task for task in tasks if len(tasks) > 1}
+        named = effects.loc[own, "task"].unique()
+        scopes = {f"without {task}": own & (effects["task"] != task) for task in named if len(named) > 1}
     else:
         poolable = effects["outcome"].isin([name for name, one in outcomes.items() if one.poolable])
-        scopes = {task: effects["task"] == task for task in tasks} | {ALL_TASKS: poolable}
+        scopes = {task: effects["task"] == task for task in tasks} | {ALL_TASKS: own & poolable}
     nothing = effects.iloc[:0].assign(scope="")
     scoped = [nothing, *(effects[chosen].assign(scope=scope) for scope, chosen in scopes.items())]
     rows = pd.concat(scoped, ignore_index=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from experiments.analysis.scores import SETTING
+from experiments.analysis.scores import SETTING, once_each
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.traffic import TRAFFICS
 
@@ -41,6 +41,7 @@ def units(episodes: pd.DataFrame) -> pd.DataFrame:
     second = agents["seed"] > last
     agents = agents.assign(arm="one-" + agents["arm"], seed=agents["seed"] - second * (last - first + 1))
     unit = [*SETTING, "arm", "traffic", "seed", "scenario"]
+    once_each(rows[rows["kind"] != "baseline"].assign(arm=rows["kind"] + " " + rows["arm"]))
     both = pd.concat([tests, agents], ignore_index=True)
     numbers = both.select_dtypes(["number", "bool"]).columns.difference(unit)
     means = both.groupby(unit, sort=False)[[*numbers]].mean().reset_index()

@@ -58,6 +58,18 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
     )
 
 
+def once_each(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The episodes; ValueError where an agent has one twice, so that cells of two versions would be averaged."""
+    twice = episodes[episodes.duplicated([*SETTING, "arm", "traffic", "seed", "scenario"])]
+    for row in twice.head(1).to_dict("records"):
+        raise ValueError(
+            f"{len(twice)} episodes are there twice, the first one of {row['arm']} {row['seed']} in {row['task']} "
+            f"{row['level_name']}: scenario {row['scenario']} in {row['traffic']} traffic; "
+            "choose one group of cells (`cells.comparable`)"
+        )
+    return episodes
+
+
 Setting = tuple[str, str, int, str]  # backend, task, level, level_name
 # The agents of an arm in a setting: of each outcome an array (traffic in the order of TRAFFICS, agent, scenario).
 Arm = Mapping[str, NDArray[np.float64]]
@@ -71,8 +83,11 @@ def arms_of(
 
     Args:
         episodes: as from `with_outcomes`, of agents that all met the same scenarios; the arm's name is in "arm".
+
+    Raises:
+        ValueError: an agent has an episode twice.
     """
-    rows = episodes[episodes["traffic"].isin(list(TRAFFICS))]
+    rows = once_each(episodes[episodes["traffic"].isin(list(TRAFFICS))])
     rows = in_order(rows, "backend", "task", "level", "arm", "traffic", "seed", "scenario")
     there = [name for name in outcomes if name in rows]
     result: dict[Setting, dict[str, Arm]] = {}

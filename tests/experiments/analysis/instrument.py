@@ -23,11 +23,11 @@ from experiments.analysis.effects import ALL_TASKS, decided, means, slopes
 from experiments.analysis.estimate import OK
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TWO_BATCHES, Plan
 from experiments.analysis.scores import Arm, Arms, Setting
+from experiments.study.design.sheet import GRID
 from tests.experiments.analysis.made_up import at_looks, first
 
-LEVELS = {"highway": 3, "two-way": 3, "roundabout": 3, "intersection": 5, "u-turn": 4}
 SCENARIOS = 100
-SETTING = ("sumo", "highway", 1, "1")
+SETTING = ("sumo", "highway", 1, "50")
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ def setting(world: World, n: int, random: np.random.Generator) -> dict[str, Arm]
 
 def study(world: World, seeds: int, random: np.random.Generator) -> dict[Setting, Arms]:
     """All 18 settings."""
-    levels = [(task, level) for task, number in LEVELS.items() for level in range(1, number + 1)]
-    return {("sumo", task, k, str(k)): setting(world, seeds, random) for task, k in levels}
+    levels = [(task, k, name) for task, names in GRID.items() for k, name in enumerate(names, start=1)]
+    return {("sumo", *level): setting(world, seeds, random) for level in levels}
 
 
 def studies(
@@ -134,7 +134,8 @@ def slope(outcome: str, quantity: str, seeds: int, repeats: int) -> Rates:
     """A slope over three levels that do not differ."""
 
     def draw(random: np.random.Generator) -> dict[Setting, Arms]:
-        return {("sumo", "highway", k, str(k)): setting(World(), seeds, random) for k in (1, 2, 3)}
+        levels = enumerate(GRID["highway"], start=1)
+        return {("sumo", "highway", k, name): setting(World(), seeds, random) for k, name in levels}
 
     found = slopes([studies(draw, repeats)])
     return rates(found[(found["outcome"] == outcome) & (found["quantity"] == quantity)], 0.0)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.analysis.analysis import Analysis, analyse
-from experiments.analysis.effects import WORKING_COLUMNS
+from experiments.analysis.analysis import Analysis, analyse, own_agents
+from experiments.analysis.claims import price
+from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means
+from experiments.analysis.pairs import units
+from experiments.analysis.plan import DEFAULT, Bound
+from experiments.analysis.scores import arms_of, with_outcomes
 from experiments.study.results.store import Results, load
 from tests.experiments import synthetic
-from tests.experiments.analysis.made_up import find
+from tests.experiments.analysis.made_up import PAIR, agents, find
 
 LEVELS = {"highway": (1,), "u-turn": (1,)}
 FURTHER = ("dense", "penalty", "dose25", "dose50", "dose75")
@@ -66,3 +72,78 @@ def test_an_agent_that_is_lost_at_home_is_not_compared_elsewhere(results: Result
         wanted = {"outcome": "crashed", "term": "risky", "scenarios": "replica"}
         row = find(found, scope="all tasks", tested_on=tested_on, **wanted)
         assert (row["seeds_arm"], row["seeds_against"]) == (7, 8)
+
+
+def is_elsewhere(key: dict[str, Any]) -> bool:
+    return (key.get("test_on") or {}).get("backend") == "replica"
+
+
+# Which cells another version has computed, and what tells it: tests on another simulator, an arm, a policy.
+OLDER: list[tuple[Any, Any]] = [
+    (is_elsewhere, lambda cell: cell["key"]["test_on"].update(dynamics="00000000")),
+    (is_elsewhere, lambda cell: cell["versions"].update(numba="0.1")),
+    (
+        lambda key: (key["kind"], key["arm"]) == ("agent", "dose50"),
+        lambda cell: cell["key"]["profile"].update(estimator_sha256="another"),
+    ),
+    (lambda key: key["policy"] == "careful", lambda cell: cell["key"].update(dynamics="00000000")),
+]
+
+
+def test_cells_of_two_versions_never_share_a_mean(results: Results, analysis: Analysis) -> None:
+    """Those of earlier versions, in which everybody crashed, are named and count nowhere."""
+    parts = [(results.cells, results.episodes, results.gate_episodes)]
+    for number, (which, change) in enumerate(OLDER):
+        names = {name: f"{number} {name}" for name, cell in results.cells.items() if which(cell["key"])}
+        cells = {names[name]: deepcopy(results.cells[name]) for name in names}
+        for cell in cells.values():
+            change(cell)
+        tables = (
+            table[table["cell"].isin(names)].assign(cell=table["cell"].map(names))
+            for table in (results.episodes.assign(crashed=True), results.gate_episodes)
+        )
+        parts.insert(0, (cells, *tables))
+    cells, episodes, gates = zip(*parts, strict=True)
+    both = replace(
+        results,
+        cells={name: cell for part in cells for name, cell in part.items()},
+        episodes=pd.concat(episodes, ignore_index=True),
+        gate_episodes=pd.concat(gates, ignore_index=True),
+    )
+    found = analyse(both)
+    assert set(found.notes["left_out"]) == set(both.cells) - set(results.cells)
+    for name in ("effects", "means", "policies", "gates"):
+        pd.testing.assert_frame_equal(getattr(found, name), getattr(analysis, name))
+
+
+def test_an_episode_that_is_there_twice_is_an_error_wherever_arrays_are_made(results: Results) -> None:
+    episodes = own_agents(with_outcomes(results))
+    twice = pd.concat([episodes, episodes[episodes["seed"] == 1]], ignore_index=True)
+    for function in (arms_of, units):
+        with pytest.raises(ValueError, match="twice"):
+            function(twice)
+
+
+def test_means_and_the_price_ask_the_settings_of_the_plan_alone(results: Results) -> None:
+    """Heavier levels, and a task that the plan does not name, change neither."""
+    random = np.random.default_rng(1)
+    plan = replace(
+        DEFAULT,
+        settings=(("highway", "50"), ("u-turn", "3")),
+        price=(Bound("treatment", "control", "risky", 0.05),),
+    )
+    named = {**agents(1, 5, random), **agents(1, 5, random, task="u-turn")}
+    others = {**agents(3, 5, random, effect=9.0), **agents(1, 5, random, effect=9.0, task="roundabout")}
+    few, many = (
+        contrasts(arms, {PAIR: [("crashed", "risky"), ("return", "risky")]})
+        for arms in (named, {**others, **named})
+    )
+    assert len(many) > len(few)
+    pd.testing.assert_frame_equal(price(many, plan), price(few, plan))
+    for leave_one_out in (False, True):
+        more, less = (means(frame, plan, leave_one_out) for frame in (many, few))
+        more = more[more["scope"] != "roundabout"]
+        pd.testing.assert_frame_equal(
+            more.sort_values(["scope", "outcome"]).reset_index(drop=True),
+            less.sort_values(["scope", "outcome"]).reset_index(drop=True),
+        )

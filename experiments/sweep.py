@@ -39,7 +39,7 @@ from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import duration, seconds
 from experiments.study.compute.run import compute_here
 from experiments.study.design.experiment import Experiment, Flag, argument, shard
-from experiments.study.design.fingerprint import check_dynamics, known_dynamics
+from experiments.study.design.fingerprint import check_dynamics, check_learners, known_dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.presets import cells_of, complete
 from experiments.study.results.store import Store, find_cell
@@ -93,7 +93,9 @@ def sweep(
     mine = shard(cells, options.shard)
     check(dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on)))
     there = set(Store(options.directory).finished())
-    refuse_early([cell for cell in mine if cell.name not in there], make_env, options.executor)
+    new = [cell for cell in mine if cell.name not in there]
+    check_learners((cell.policy, cell.profile) for cell in new if cell.kind == "agent")
+    refuse_early(new, make_env, options.executor)
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     with writing(options.directory):
         if options.cell:

@@ -26,7 +26,7 @@ from agents.files import atomic
 from experiments.study.compute.cells import compute
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import Experiment
-from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.fingerprint import check_dynamics, check_learners
 from experiments.study.design.grid import Cell
 from experiments.study.design.presets import cells_of
 from experiments.study.results.store import TRAINING, Store
@@ -107,6 +107,7 @@ def train(options: Options, arguments: list[str]) -> int:
     """Do what the options ask for; returns the exit status."""
     agent, others = agent_and_others(options)
     check_dynamics([(agent.backend, agent.task)])
+    check_learners([(agent.policy, agent.profile)])
     with writing(options.out):
         command = shlex.join(["python", "experiments/train.py", *arguments])
         Store(options.out).write_sweep(command, [agent, *others])

@@ -21,7 +21,7 @@ from sumo_env.config import Config
 from sumo_env.tasks import TASKS
 
 TEST = 2**32  # where the seeds of the test scenarios begin
-NUMBERS = range(10**9)  # of trainings and of scenarios
+NUMBERED = range(10**9)  # of trainings and of scenarios
 
 
 @dataclass(frozen=True)

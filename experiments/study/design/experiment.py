@@ -14,9 +14,9 @@ import tyro
 from agents.plugins import foreign
 from agents.rules import CAUTIONS, POLICIES
 from experiments.backends import BACKENDS
-from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERS, PAIRS
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED, PAIRS
 from experiments.study.design.estimators import RULE, digest
-from experiments.study.design.fingerprint import dynamics
+from experiments.study.design.fingerprint import dynamics, learner_name
 from experiments.study.design.grid import (
     LEARNER,
     Cell,
@@ -170,8 +170,8 @@ class Experiment:
             if arm not in EVERY_ARM:
                 raise unknown("arm", arm, EVERY_ARM)
         for seed in (self.first_seed, self.first_seed + seeds - 1):
-            if seed not in NUMBERS:
-                raise UserError(f"the number of a training is from 0 to {NUMBERS[-1]}, not {seed}")
+            if seed not in NUMBERED:
+                raise UserError(f"the number of a training is from 0 to {NUMBERED[-1]}, not {seed}")
         profile = self.profile(common.task)
         for seed in range(self.first_seed, self.first_seed + seeds):
             for arm in arms:
@@ -252,7 +252,10 @@ class Experiment:
         settings = settings_of(chosen.Settings, said, f"the learner {self.learner}")
         if not self._own_network and hasattr(settings, "network"):
             network_class(settings.network)
-        return {**entries(settings), **rules.entries(), **files}
+        found = entries(settings)
+        if name := learner_name(self.learner, found):
+            files["learner_dynamics"] = name
+        return {**found, **rules.entries(), **files}
 
     @property
     def _own_network(self) -> str | None:

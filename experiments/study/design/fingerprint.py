@@ -1,24 +1,25 @@
-"""What a simulator does, as eight digits: results of other dynamics must never be mixed or believed to be of these.
+"""What simulators and learners do, as numbers: results of other behaviour are never mixed or believed to be of this.
 
-Behaviour is taken, not source code: the first policy steps of a few episodes, rounded far above what processors
-differ by. `fingerprints.json` has, for each backend and task, the eight digits that cells are named with and those of
-the behaviour that they stand for; a sweep checks the simulator against them before it begins. After a change of the
-dynamics that is meant,
+Behaviour is taken, not source code: whole episodes of a simulator at both doses, and the Q-values of a learner after
+20 updates on episodes that are the same for all. They are compared within tolerances far above what processors differ
+by. `fingerprints.json` has the eight digits that cells are named with and the numbers that they stand for; a sweep
+compares them before it begins. After a change that is meant,
 
     python -m experiments.study.design.fingerprint
 
-gives the changed dynamics names of their own.
+gives what has changed a name of its own.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from experiments.backends import BACKENDS, has, make_env, require
@@ -27,26 +28,83 @@ from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, read_json, sha256_bytes, write_json
 from sumo_env.tasks import TASKS
 
-SCENARIOS, STEPS = 2, 4
-DECIMALS = 2  # of metres and metres per second
-LIGHTEST_ALONE = ("highway-env",)  # too slow for the fingerprint to cover the heaviest traffic too
+IDLE, SLOWER, ANY = "IDLE", "SLOWER", ""  # what drives an episode; ANY: random actions
+SLOW = ("highway-env",)  # of which the fingerprint is of one episode a dose, in the lightest traffic
 TABLE = Path(__file__).with_name("fingerprints.json")
+AGAIN = "python -m experiments.study.design.fingerprint"
+LEARNERS = "learners"  # part of the table beside the backends
+TOLERANCE = 1e-3  # relative above 1, else absolute
+UPDATES, PROBES = 20, 8
+# What decides how a learner of ours computes, apart from its numbers, which are in the names of its cells.
+KINDS: tuple[Mapping[str, Any], ...] = (
+    {"network": "attention"},
+    {"network": "dueling"},
+    {"network": "attention", "by_hand": True},
+)
+
+Behaviour = dict[str, str]  # numbers, with spaces between them, by what they are of
 
 
-def fingerprint(backend: str, task: str) -> str:
-    """Eight digits that change with the dynamics of a task: of its roads, drivers, risk and simulator."""
-    levels = list(TASKS[task].levels.values())
-    driven = (1,) if backend in LIGHTEST_ALONE else dict.fromkeys((1, len(levels)))
-    values = [
-        _rollout(backend, task, levels[level - 1], level, risk) for level in driven for risk in (0.0, 1.0)
-    ]
-    return sha256_bytes(canonical_json([values, {}]).encode())[:8]
-
-
-def _table() -> dict[str, dict[str, dict[str, str]]]:
-    """`name` and `behaviour` by backend and task."""
-    table: dict[str, dict[str, dict[str, str]]] = read_json(TABLE)
+def _table() -> dict[str, dict[str, dict[str, Any]]]:
+    """`name` and `behaviour` by backend and task, and by LEARNERS and learner."""
+    table: dict[str, dict[str, dict[str, Any]]] = read_json(TABLE)
     return table
+
+
+def _digits(found: Behaviour) -> str:
+    """The name of a behaviour that has none yet."""
+    return sha256_bytes(canonical_json(found).encode())[:8]
+
+
+def _same(found: Behaviour, known: Behaviour) -> bool:
+    def numbers(text: str) -> list[float]:
+        return [float(word) for word in text.split()]
+
+    return found.keys() == known.keys() and all(
+        len(a := numbers(found[name])) == len(b := numbers(known[name]))
+        and np.allclose(a, b, rtol=TOLERANCE, atol=TOLERANCE)
+        for name in found
+    )
+
+
+# -- Simulators --------------------------------------------------------------------------------------------------------
+
+
+def driven(backend: str, task: str) -> Behaviour:
+    """How whole episodes go, idle, slow and with random actions, at the lightest and heaviest level and both doses.
+
+    The numbers of an episode: policy steps, crashed vehicles at the end, and the means over steps and vehicles of the
+    reward, of x and y [m] and of the speed [m/s].
+    """
+    levels = list(TASKS[task].levels.values())
+    numbers = (1,) if backend in SLOW else dict.fromkeys((1, len(levels)))
+    drivers = (IDLE,) if backend in SLOW else (IDLE, SLOWER, ANY)
+    return {
+        f"level {level}, risk {risk:g}, scenario {scenario}": words
+        for level in numbers
+        for risk in (0.0, 1.0)
+        for scenario, words in enumerate(_episodes(backend, task, level, risk, drivers))
+    }
+
+
+def _episodes(backend: str, task: str, level: int, risk: float, drivers: Iterable[str]) -> Iterator[str]:
+    config = list(TASKS[task].levels.values())[level - 1]
+    env: Any
+    with closing(make_env(backend, task, {**config, "risk": risk})) as env:
+        for scenario, driver in enumerate(drivers):
+            fixed = [number for number, name in env.unwrapped.actions.items() if name == driver]
+            rng, seen, ended = np.random.default_rng(scenario), [], False
+            env.reset(seed=scenario_seed(task, level, scenario))
+            while not ended:
+                action = fixed[0] if fixed else int(rng.integers(env.action_space.n))
+                _, reward, terminated, truncated, _ = env.step(action)
+                scene, ended = env.unwrapped.scene, terminated or truncated
+                seen.append([reward, *(np.mean(values) for values in (scene.x, scene.y, scene.speed))])
+            yield " ".join([f"{len(seen)} {int(np.sum(scene.crashed))}", *_texts(np.mean(seen, axis=0))])
+
+
+def _texts(values: Iterable[float]) -> list[str]:
+    return [f"{value:.6g}" for value in np.asarray(values).round(6) + 0.0]
 
 
 def known_dynamics(backend: str, task: str) -> str:
@@ -55,7 +113,7 @@ def known_dynamics(backend: str, task: str) -> str:
     Raises:
         UserError: the backend does not have the task.
     """
-    name = _table().get(backend, {}).get(task, {}).get("name", "")
+    name: str = _table().get(backend, {}).get(task, {}).get("name", "")
     if not name:
         require(backend, task)
     return name
@@ -63,12 +121,12 @@ def known_dynamics(backend: str, task: str) -> str:
 
 @cache
 def dynamics(backend: str, task: str) -> str:
-    """The digits that cells of a task are named with; of a task that the table does not have, its fingerprint.
+    """The digits that cells of a task are named with; of a task that the table does not have, those of its behaviour.
 
     Raises:
         UserError: the backend does not have the task.
     """
-    return known_dynamics(backend, task) or fingerprint(backend, task)
+    return known_dynamics(backend, task) or _digits(driven(backend, task))
 
 
 def check_dynamics(pairs: Iterable[tuple[str, str]]) -> None:
@@ -80,44 +138,95 @@ def check_dynamics(pairs: Iterable[tuple[str, str]]) -> None:
     table = _table()
     for backend, task in pairs:
         known = table.get(backend, {}).get(task)
-        if known and (found := fingerprint(backend, task)) != known["behaviour"]:
+        if known and not _same(driven(backend, task), known["behaviour"]):
             raise UserError(
-                f"the task {task} on the backend {backend} does not behave as the stored results of this name did "
-                f"(fingerprint {found}, expected {known['behaviour']}): undo the change of its dynamics, or run "
-                "python -m experiments.study.design.fingerprint, which gives the changed dynamics a name of their own"
+                f"the task {task} on the backend {backend} does not behave as the stored results of this name did: "
+                f"undo the change of its dynamics, or run {AGAIN}, which gives the changed dynamics a name of their own"
+            )
+
+
+# -- Learners ----------------------------------------------------------------------------------------------------------
+
+
+class Tape(gym.Env[Any, Any]):
+    """Episodes in which nothing depends on the actions, so that every learner has the same replay."""
+
+    observation_space = gym.spaces.Box(-1.0, 1.0, (5, 7), np.float32)
+    action_space = gym.spaces.Discrete(5)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin the episode of this seed."""
+        super().reset(seed=seed)
+        return self._observation(), {}
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """The next step of the episode."""
+        crashed = bool(self.np_random.random() < 0.15)
+        return self._observation(), float(self.np_random.random()), crashed, False, {"crashed": crashed}
+
+    def _observation(self) -> Any:
+        return self.np_random.uniform(-1, 1, self.observation_space.shape).astype(np.float32)
+
+
+def kind_of(policy: str, profile: Mapping[str, Any]) -> str:
+    """What kind of learner an agent has, as the table calls it: "dqn attention", or "dqn attention by hand"."""
+    by_hand = " by hand" if profile.get("by_hand") else ""
+    return f"{policy} {profile.get('network', '')}{by_hand}"
+
+
+def learnt(settings: Mapping[str, Any]) -> Behaviour:
+    """The Q-values of our learner with such settings on some observations, after UPDATES updates."""
+    from agents.learner import settings_of  # here: not every command needs the learner
+    from agents.learners import learner
+    from experiments.study.design.grid import LEARNER
+
+    found = learner(LEARNER)
+    few = {"updates": UPDATES, "steps_per_update": 2, "warm_up": 100, "batch_size": 32, "learning_rate": 5e-3}
+    trained: Any = found.train(Tape, settings_of(found.Settings, {**few, **settings}, "the learner"), 0)
+    rng = np.random.default_rng(0)
+    probes = rng.uniform(-1, 1, (PROBES, *Tape.observation_space.shape)).astype(np.float32)
+    return {f"observation {k}": " ".join(_texts(trained.policy.q(probe))) for k, probe in enumerate(probes)}
+
+
+def learner_name(policy: str, profile: Mapping[str, Any]) -> str:
+    """The digits that agents of a learner are named with; empty for the first one, and for others'."""
+    name: str = _table().get(LEARNERS, {}).get(kind_of(policy, profile), {}).get("name", "")
+    return name
+
+
+def check_learners(agents: Iterable[tuple[str, Mapping[str, Any]]]) -> None:
+    """Check that learners do what the names of cells say, for pairs of learner and profile.
+
+    Raises:
+        UserError: one does not.
+    """
+    table = _table().get(LEARNERS, {})
+    asked = {kind_of(policy, profile) for policy, profile in agents}
+    for settings in KINDS:
+        kind = kind_of("dqn", settings)
+        if kind in asked and kind in table and not _same(learnt(settings), table[kind]["behaviour"]):
+            raise UserError(
+                f"the learner {kind} does not learn as that of the stored agents of this name did: undo the change of "
+                f"agents, or run {AGAIN}, which gives the changed learner a name of its own"
             )
 
 
 def main() -> int:
-    """Compare all simulators with the table; add tasks, and give new names to those that have changed."""
+    """Compare all simulators and learners with the table; add what is new, and give new names to what has changed."""
     table = _table()
-    for backend in BACKENDS:
-        for task in (task for task in TASKS if has(backend, task)):
-            known = table.setdefault(backend, {}).setdefault(task, {"name": "none", "behaviour": ""})
-            found = fingerprint(backend, task)
-            if found != known["behaviour"]:
-                print(f"{backend} {task}: {known['name']} -> {found}")
-                known.update(name=found, behaviour=found)
+    found = {
+        (backend, task): driven(backend, task) for backend in BACKENDS for task in TASKS if has(backend, task)
+    }
+    found |= {(LEARNERS, kind_of("dqn", settings)): learnt(settings) for settings in KINDS}
+    for (part, name), behaviour in found.items():
+        known = table.setdefault(part, {}).setdefault(name, {"name": "none", "behaviour": {}})
+        if not _same(behaviour, known["behaviour"]):
+            print(f"{part} {name}: {known['name']} -> {_digits(behaviour)}")
+            known.update(name=_digits(behaviour), behaviour=behaviour)
     write_json(TABLE, table)
     return 0
-
-
-def _rollout(backend: str, task: str, config: Mapping[str, Any], level: int, risk: float) -> list[Any]:
-    """Places and speeds after each step of some episodes with seeded random actions."""
-    seen: list[Any] = []
-    env: Any
-    with closing(make_env(backend, task, {**config, "risk": risk})) as env:
-        for scenario in range(SCENARIOS):
-            rng = np.random.default_rng(scenario)
-            env.reset(seed=scenario_seed(task, level, scenario))
-            for _ in range(STEPS):
-                _, reward, terminated, truncated, _ = env.step(int(rng.integers(env.action_space.n)))
-                scene = env.unwrapped.scene
-                numbers = np.concatenate([scene.x, scene.y, scene.speed, [reward]]).round(DECIMALS) + 0.0
-                seen.append([list(scene.ids), scene.crashed.tolist(), numbers.tolist()])
-                if terminated or truncated:
-                    break
-    return seen
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from pandas.api import types
 
 from agents.schema import Wrong, check, shortened
 from experiments.backends import SIMULATORS
-from experiments.study.design.arms import EVERY_ARM, NUMBERS, PAIRS, gate_traffics
+from experiments.study.design.arms import EVERY_ARM, NUMBERED, PAIRS, gate_traffics
 from experiments.study.design.grid import LEARNER, RESULT_SCHEMA, cell_name
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.support.files import is_name
@@ -28,7 +28,7 @@ from sumo_env.tasks import TASKS
 
 EPISODES, GATES = "episodes.parquet", "gates.parquet"
 ACTIONS = 5
-COUNT = NUMBERS
+COUNT = NUMBERED
 CONFIG = {"policy_frequency?": range(1, 1000)}  # of it alone the time of an episode depends
 KEY = {
     **{

@@ -92,7 +92,7 @@ OLDER: list[tuple[Any, Any]] = [
 
 def test_cells_of_two_versions_never_share_a_mean(results: Results, analysis: Analysis) -> None:
     """Those of earlier versions, in which everybody crashed, are named and count nowhere."""
-    parts = [(results.cells, results.episodes, results.gate_episodes)]
+    parts: list[Any] = [(results.cells, results.episodes, results.gate_episodes)]
     for number, (which, change) in enumerate(OLDER):
         names = {name: f"{number} {name}" for name, cell in results.cells.items() if which(cell["key"])}
         cells = {names[name]: deepcopy(results.cells[name]) for name in names}
@@ -103,10 +103,10 @@ def test_cells_of_two_versions_never_share_a_mean(results: Results, analysis: An
             for table in (results.episodes.assign(crashed=True), results.gate_episodes)
         )
         parts.insert(0, (cells, *tables))
-    cells, episodes, gates = zip(*parts, strict=True)
+    every, episodes, gates = zip(*parts, strict=True)
     both = replace(
         results,
-        cells={name: cell for part in cells for name, cell in part.items()},
+        cells={name: cell for part in every for name, cell in part.items()},
         episodes=pd.concat(episodes, ignore_index=True),
         gate_episodes=pd.concat(gates, ignore_index=True),
     )

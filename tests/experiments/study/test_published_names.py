@@ -10,10 +10,12 @@ import subprocess
 from functools import cache
 from typing import Any
 
+import gymnasium as gym
 import pytest
 
-from experiments.backends import BACKENDS
-from experiments.study.design.fingerprint import check_dynamics, dynamics, fingerprint
+from experiments.backends import BACKENDS, make_env
+from experiments.study.design import fingerprint
+from experiments.study.design.fingerprint import check_dynamics, check_learners, driven, dynamics
 from experiments.study.design.grid import BACKEND_KEYS
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
@@ -53,7 +55,36 @@ def test_the_dynamics_of_published_cells_are_those_of_today() -> None:
 @pytest.mark.parametrize("backend", ["sumo", "replica"])
 @pytest.mark.parametrize("task", TASKS)
 def test_the_simulators_do_what_they_did(backend: str, task: str) -> None:
-    assert fingerprint(backend, task) == dynamics(backend, task)
+    check_dynamics([(backend, task)])
+
+
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+def test_a_change_in_the_middle_of_an_episode_is_noticed_at_either_dose(risk: float, monkeypatch) -> None:
+    """And one that other processors might make is not."""
+    usual = driven("sumo", "u-turn")
+
+    class Changed(gym.Wrapper):
+        size = 0.1
+
+        def step(self, action: int) -> Any:
+            observation, reward, *rest = self.env.step(action)
+            inner: Any = self.unwrapped
+            is_later = inner.scene.time > 4 and inner.config["risk"] == risk
+            return observation, float(reward) + self.size * is_later, *rest
+
+    name = "experiments.study.design.fingerprint.make_env"
+    monkeypatch.setattr(name, lambda *asked: Changed(make_env(*asked)))
+    assert not fingerprint._same(driven("sumo", "u-turn"), usual)
+    Changed.size = 1e-6
+    assert fingerprint._same(driven("sumo", "u-turn"), usual)
+
+
+def test_a_learner_that_learns_otherwise_is_named_before_a_sweep_begins(monkeypatch) -> None:
+    agents = [("dqn", {"network": "dueling"}), ("sb3-ppo", {}), ("mine.py:own", {"network": "attention"})]
+    check_learners(agents)
+    monkeypatch.setattr("agents.dqn.DQNConfig.rate", lambda self, update: -self.learning_rate)
+    with pytest.raises(UserError, match="learner dqn dueling does not learn"):
+        check_learners(agents)
 
 
 def test_a_simulator_that_behaves_otherwise_is_named_before_a_sweep_begins(monkeypatch) -> None:

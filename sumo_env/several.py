@@ -66,7 +66,7 @@ class Cars:
 
     Attributes:
         envs: of the cars; the first one holds the simulator and draws the traffic. All share one random generator.
-        numbers: of the cars of this episode, by their ids in the scene.
+        numbers: of the cars that have come in this episode, by their ids in the scene.
         steps: policy steps of this episode.
     """
 
@@ -83,8 +83,7 @@ class Cars:
         self.steps = 0
         self._scenario: Scenario
         self._scene: Scene  # all cars
-        self._here: set[str] = set()  # cars that have come
-        self._leaving: list[str] = []  # cars that are taken off the road in the next step
+        self._known: tuple[str, ...] = ()  # ids of the cars in the order of their numbers; empty by type
 
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> dict[int, Seen]:
         """Start an episode; returns what the cars see that are there, by their numbers."""
@@ -94,9 +93,8 @@ class Cars:
                 env.configure(config)
         self._scenario, scene = scenario, _ = self.first._start(seed, given)
         by_type = scenario.traffic is not None and scenario.traffic.car_type
-        known = () if by_type else (scenario.ego.id, *scenario.further)
-        self.numbers = {name: number for number, name in enumerate(known)}
-        self._here, self._leaving, self.steps = set(), [], 0
+        self._known = () if by_type else (scenario.ego.id, *scenario.further)
+        self.numbers, self.steps = {}, 0
         self._scene = self.first.scene = scene
         return self._newcomers(scene)
 
@@ -112,16 +110,16 @@ class Cars:
         commands = {number: self.envs[number]._command(action) for number, action in actions.items()}
         by_id: Commands = {ids[number]: command for number, command in commands.items()}
         self.first.scene = self._scene
-        step = self.first._drive({**by_id, **dict.fromkeys(self._leaving)})
+        present = self._scene.ids[: self._scene.cars]
+        crashed = [name for name in present if self.envs[self.numbers[name]].ego_state.crashed]
+        step = self.first._drive({**by_id, **dict.fromkeys(crashed if self._removes_crashed else ())})
         self.steps, self._scene = self.steps + 1, step.scene
-        results, self._leaving = {}, []
+        results = {}
         for number, command in commands.items():
             name, env = ids[number], self.envs[number]
             self._let_see(env, name)
             env._is_closed = self.first._is_closed
             results[number] = env._after(actions[number], command, step.scene.seen_by(name), step.egos[name])
-            if self._removes_crashed and env.ego_state.crashed:
-                self._leaving.append(name)
         if 0 not in actions:
             self.first.scene = step.scene
         come = self._newcomers(step.scene)
@@ -132,10 +130,10 @@ class Cars:
         """Begin the episode of cars that have come; what they see."""
         seen, first, scenario = {}, self.first, self._scenario
         for name in scene.ids[: scene.cars]:
-            if name in self._here:
+            if name in self.numbers:
                 continue
-            self._here.add(name)
-            number = self.numbers.setdefault(name, len(self.numbers))
+            number = self._known.index(name) if self._known else len(self.numbers)
+            self.numbers[name] = number
             env = self.envs[number]
             if env is not first:
                 env.np_random = first.np_random

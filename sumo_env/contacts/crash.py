@@ -118,8 +118,11 @@ class CrashDetector:
     Attributes:
         crash: the ego's first contact; None as long as there is none. Where the geometry was first, `detected_by`
             becomes "both" when SUMO reports the same vehicle in a later sub-step.
+        contact: states of the ego and of the other vehicle then.
         reported: ids of the vehicles with which SUMO reported a collision of the ego in the last sub-step.
     """
+
+    contact: tuple[State, State]
 
     def __init__(self) -> None:
         self.crash: CrashRecord | None = None
@@ -170,5 +173,6 @@ class CrashDetector:
         else:
             return None
         ego, other = (state_between(before[k], after[k], moment) for k in (0, row))
+        self.contact = ego, other
         self.crash = record(ego, other, ids[row], round(time - (1.0 - moment) * dt, 6), by)
         return self.crash

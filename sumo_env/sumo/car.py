@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from math import inf
 from typing import Any, Generic, TypeVar
 
@@ -77,8 +78,10 @@ class Car(Generic[Driven]):
         """Another learning car has touched this one; the contact is this car's first one, unless it had one."""
         if not self.ego.vehicle.crashed:
             self.ego.vehicle.crash(self.ego.speed)
-            states = self.around.ego, other.around.ego
-            self._detector.crash = record(*states, other.name, crash.time, crash.detected_by)
+            theirs, own = other._detector.contact
+            mirrored = record(own, theirs, other.name, crash.time, crash.detected_by)
+            # as seen from the other car, turned by up to 45 degrees, the same contact may have another name
+            self._detector.crash = replace(mirrored, type=crash.type)
 
     def met(self) -> EgoStep:
         """The result of a policy step."""

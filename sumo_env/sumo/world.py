@@ -243,13 +243,13 @@ class SumoSimulator:
     def _obey(self, commands: Commands) -> None:
         """Begin a policy step of the learning cars: who has no command is SUMO's."""
         for name, command in commands.items():
-            if name not in self._cars:
+            if command is None:
+                self._remove(name)
+            elif name not in self._cars:
                 raise SimulatorError(
                     f"the learning car {name!r} is not on the road ({', '.join(self._cars) or 'no car is'}): was it "
                     "removed through libsumo? Call reset() to begin another episode."
                 )
-            if command is None:
-                self._remove(name)
         for name, car in self._cars.items():
             car.obey(commands.get(name))
 
@@ -333,7 +333,9 @@ class SumoSimulator:
                     centres.append((spec.x, spec.y))
 
     def _remove(self, name: str) -> None:
-        self._session.vehicle.remove(name)
+        """Take a vehicle off the road, if it has not left it by itself."""
+        if name in self._road:
+            self._session.vehicle.remove(name)
         self._forget(name)
 
     def _forget(self, name: str) -> None:

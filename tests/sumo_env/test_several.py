@@ -14,6 +14,7 @@ from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import car_id
+from tests.sumo_env.fleets import mismatch
 from tests.sumo_env.plans import build, needs_sumo, route_file
 
 pytest.importorskip("pettingzoo")
@@ -109,6 +110,7 @@ def test_two_cars_that_touch_have_both_crashed() -> None:
     assert [infos[agent]["crash"]["other"] for agent in infos] == [car_id(1), car_id(0)]
     assert [infos[agent]["crashed"] for agent in infos] == [True, True]
     assert env.agents == []
+    assert mismatch(*(info["crash"] for info in infos.values())) == []
 
 
 @pytest.mark.parametrize("removes", [False, True])
@@ -309,6 +311,40 @@ def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
         }
     assert set(ends) == set(env.possible_agents) and "arrived" in ends.values()
     assert list(env.ids.values()) == ["early", "late", "g.0", "g.1"]
+
+
+@needs_sumo
+def test_a_crashed_car_stays_an_obstacle_after_sumo_has_teleported_it(
+    road: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """The second car drives into the first one, which stands; SUMO puts both on the next edge after a while."""
+    cars = """
+        <vType id="cav" accel="3" decel="5"/>
+        <vehicle id="ahead" type="cav" depart="0" departPos="300"><route edges="ab bc"/></vehicle>
+        <vehicle id="behind" type="cav" depart="0" departPos="200" departSpeed="15"><route edges="ab bc"/></vehicle>
+        <vehicle id="third" type="cav" depart="0" departPos="5"><route edges="ab bc"/></vehicle>
+    """
+    action = {"type": "DiscreteMetaAction", "target_speeds": [0.0, 3.0, 15.0]}
+    env = sumo_env.parallel_env(
+        road[0],
+        {"duration": 60, "action": action},
+        routes=route_file(tmp_path, cars),
+        vehicles=["ahead", "behind", "third"],
+        sumo_options=["--time-to-teleport=12"],
+    )
+    env.reset(seed=0)
+    found, sumo = {"ahead": set[str](), "behind": set[str]()}, env.cars["car_0"].sumo.vehicle
+    for step in range(60):
+        creeps = 4 if env.cars["car_2"].ego_state.speed > 4.0 else 3
+        assert "car_2" in env.agents
+        actions = {"car_0": 4, "car_1": 3, "car_2": creeps if step < 5 else 1}
+        env.step({agent: actions[agent] for agent in env.agents})
+        for name, places in found.items():
+            if step > 20 and name in sumo.getIDList():
+                places.add(sumo.getRoadID(name))
+                assert sumo.getSpeed(name) < 0.1
+    assert all("bc" in places for places in found.values())
+    env.close()
 
 
 @needs_sumo

@@ -170,10 +170,12 @@ class FileSimulator(SumoSimulator):
         for name, car in self._cars.items():
             if car.ego.ended:
                 continue
-            if name not in self._road:
-                car.ego.ended = "arrived" if car.ego.is_near_its_end(self._dt) else "removed"
-            elif name in session.simulation.getStartingTeleportIDList():
+            # a vehicle that SUMO would teleport beyond its route leaves in the same step
+            if name in session.simulation.getStartingTeleportIDList():
                 car.ego.ended = "removed"
+            elif name not in self._road:
+                stops = not {name, name.rpartition(".")[0]}.isdisjoint(self._traffic.stopping)
+                car.ego.ended = "arrived" if car.ego.was_at_its_end(self._dt, stops) else "removed"
         return reported
 
     # -- risk ----------------------------------------------------------------------------------------------

@@ -58,14 +58,15 @@ class RouteEgo:
         self.ahead: tuple[str, ...] = ()
         self._index: LaneIndex = next(iter(network.lanes))
         self.read_lane()
-        self._left = self._way = (
-            self._remaining()
-        )  # [m] at the start of this policy step, and at the departure
+        # [m] at the start of this policy step, and at the departure
+        self._left = self._way = self._remaining()
+        self._position, self._accel = 0.0, session.vehicle.getAccel(name)  # before the present step
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO back what is not commanded."""
         self._left = self._remaining()
         self._fuel = self._electricity = 0.0
+        self._accel = self._session.vehicle.getAccel(self._name)
         if self.vehicle.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
@@ -79,6 +80,7 @@ class RouteEgo:
     def drive(self, here: State, dt: float) -> float:
         """Command the next step of `dt` [s]; `settle` says how far it gets."""
         session, name, before = self._session, self._name, self.speed
+        self._position = session.vehicle.getLanePosition(name)
         self._signal = session.next_signal(name)
         if self.vehicle.crashed:
             self.vehicle.drive(coast(before, dt)[0])
@@ -190,17 +192,26 @@ class RouteEgo:
 
     def _remaining(self) -> float:
         """From the front of the ego to the end of its route [m], without the ways through junctions."""
-        here, *rest = (self._network.sumo_lanes[f"{edge}_0"].length for edge in self.ahead)
-        edge, driven = self._lane.rpartition("_")[0], self._session.vehicle.getLanePosition(self._name)
+        return self._rest(self._session.vehicle.getLanePosition(self._name))
+
+    def _edge_length(self, edge: str) -> float:
+        return self._network.sumo_lanes[f"{edge}_0"].length
+
+    def _rest(self, driven: float) -> float:
+        """As `_remaining`, of the ego at `driven` [m] of its lane."""
+        edge, (here, *rest) = self._lane.rpartition("_")[0], map(self._edge_length, self.ahead)
         present = 0.0 if edge.startswith(":") else here - driven
         if not edge.startswith(":") and edge != self.ahead[0]:  # on the lane of oncoming traffic
             present = driven
         return present + sum(rest)
 
-    def is_near_its_end(self, dt: float) -> bool:
-        """Whether the ego was on the last edge of its route, or could get over the rest within a step of `dt` [s]."""
-        rest = sum(self._network.sumo_lanes[f"{edge}_0"].length for edge in self.ahead[1:])
-        return rest <= self.speed * dt
+    def was_at_its_end(self, dt: float, anywhere: bool) -> bool:
+        """Whether the ego, which has left the road, could get over the rest of its route within the step of `dt` [s].
+
+        anywhere: whether it may have arrived anywhere on its last edge.
+        """
+        rest = sum(map(self._edge_length, self.ahead[1:])) if anywhere else self._rest(self._position)
+        return rest <= (self.speed + self._accel * dt) * dt + REACHED
 
     @property
     def target_lane(self) -> LaneIndex:

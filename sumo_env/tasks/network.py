@@ -247,6 +247,7 @@ class NetworkTask(Task):
                 ranges=self.risk_ranges,
                 rates=self.risk_rates,
                 models=models,
+                stopping=tuple(sorted(self._contents.stopping)),
                 duration=float(config["duration"]),
                 measures_energy=measures_energy(config),
             ),

@@ -37,6 +37,7 @@ class Found(NamedTuple):
     includes: tuple[Path, ...]
     ids: set[str]
     models: dict[str, str]
+    stopping: set[str]
     departing: list[tuple[str, bool, float | None]]
 
 
@@ -46,6 +47,7 @@ class Contents:
     Attributes:
         ids: of all elements.
         models: car-following models of the vehicle types that name one, by type.
+        stopping: ids of vehicles and flows that arrive at a place of their own (``arrivalPos``).
         first_departure: time of the first departure [s], None without one.
         left_out: ids of what SUMO leaves out: it departs earlier than what stands before it in a route file.
     """
@@ -53,6 +55,7 @@ class Contents:
     def __init__(self) -> None:
         self.ids: set[str] = set()
         self.models: dict[str, str] = {}
+        self.stopping: set[str] = set()
         self.first_departure: float | None = None
         self.left_out: list[str] = []
         self._vehicles: set[str] = set()
@@ -62,6 +65,7 @@ class Contents:
         latest = -inf
         self.ids |= found.ids
         self.models |= found.models
+        self.stopping |= found.stopping
         for name, is_vehicle, time in found.departing:
             if is_vehicle:
                 self._vehicles.add(name)
@@ -148,7 +152,7 @@ class _Reader:
         self._path, self._is_network = path, is_network
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler, self._parser.EndElementHandler = self._element, self._end
-        self._included, self._found = list[Path](), Found((), set(), {}, [])
+        self._included, self._found = list[Path](), Found((), set(), {}, set(), [])
         self._edge, self._lanes = "", set[str]()  # the edge around an element, and the numbers of its lanes
 
     def read(self) -> Found:
@@ -199,6 +203,8 @@ class _Reader:
         self._found.ids.add(name)
         if tag == "vType" and "carFollowModel" in has:
             self._found.models[name] = has["carFollowModel"]
+        if has.get("arrivalPos", "max") != "max":
+            self._found.stopping.add(name)
         if tag in DEPARTING:
             text = has.get("depart", has.get("begin", ""))
             time = seconds("depart", text) if re.fullmatch(r"[\d.:]+", text) else None

@@ -109,6 +109,7 @@ class SumoTraffic:
         wait: longest time that SUMO may need to insert the ego from then on [s].
         ranges, rates: what risk does to the drivers.
         models: car-following models of vehicle types, where the files name one.
+        stopping: ids of vehicles and flows that need not arrive at the end of an edge.
         duration: of the episode [s], after which no event begins.
         seed: of SUMO's random numbers; None for that of the scenario.
         measures_energy: whether SUMO is asked what the ego consumes.
@@ -123,6 +124,7 @@ class SumoTraffic:
     ranges: RiskRanges = RISK_RANGES
     rates: RiskRates = NO_EVENTS
     models: tuple[tuple[str, str], ...] = ()
+    stopping: tuple[str, ...] = ()
     duration: float = 60.0
     seed: int | None = None
     imagined: int | None = None

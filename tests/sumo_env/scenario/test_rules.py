@@ -303,3 +303,34 @@ def test_a_file_of_the_same_edges_is_driven_by_its_own_vehicle(tmp_path: Path) -
     env = SumoDrivingEnv(net, flow, ego_vehicle="f.3")
     env.reset(seed=0)
     assert len(env.scene) >= 3 and env.step(IDLE)[4]["speed"] > 5.0
+
+
+# -- arrival -------------------------------------------------------------------------------------------------------
+
+
+def test_who_stands_until_sumo_takes_it_off_the_last_edge_has_not_arrived(tmp_path: Path) -> None:
+    action = {"type": "DiscreteMetaAction", "target_speeds": [0.0, 5.0, 20.0]}
+    net = build(tmp_path, ("a 0 0, b 3000 0", "ab a b 1 20"))
+    config = {**QUIET, "duration": 60, "action": action}
+    env = SumoDrivingEnv(net, [], ["ab"], config, sumo_options=["--time-to-teleport=10"])
+    env.reset(seed=0)
+    paid, over = 0.0, False
+    while not over:
+        _, reward, over, _, info = env.step(SLOWER)
+        paid += reward
+    assert (info["ending"], info["arrived"]) == ("removed", False) and paid < 0.2
+    env.close()
+
+
+@pytest.mark.parametrize(("place", "length"), [("100", 100.0), ("-20", 480.0), ("max", 500.0)])
+def test_a_vehicle_of_the_files_arrives_where_they_say(tmp_path: Path, place: str, length: float) -> None:
+    net = build(tmp_path, ("a 0 0, b 500 0", "ab a b 1 20"))
+    routes = f'<vehicle id="ego" depart="0" departPos="0" arrivalPos="{place}"><route edges="ab"/></vehicle>'
+    env = SumoDrivingEnv(net, route_file(tmp_path, routes), ego_vehicle="ego", config={"duration": 60})
+    env.reset(seed=0)
+    driven, over = 0.0, False
+    while not over:
+        *_, over, _, info = env.step(FASTER)
+        driven += info["distance"]
+    assert info["ending"] == "arrived" and driven == pytest.approx(length, abs=5.0)
+    env.close()

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
+from sumo_env.hints import NOT_HERE
+
 if TYPE_CHECKING:
     from sumo_env.check import check_task as check_task
     from sumo_env.driving import DrivingEnv as DrivingEnv
@@ -66,6 +68,8 @@ def register(id: str, task: Any) -> None:
     """
     if isinstance(task, type):
         raise TypeError(f"register({id!r}, {task.__name__}) needs a task, not its class: {task.__name__}()")
+    if id in NOT_HERE:
+        gym.registry.pop(id, None)
     gym.register(
         id,
         entry_point="sumo_env.several:make",
@@ -119,3 +123,7 @@ for _version, _id in enumerate(TUPLE_IDS):
             "per_car": _version > 0,
         },
     )
+for _id in NOT_HERE:
+    _not_here = "sumo_env.hints:not_here"
+    gym.register(_id, entry_point=_not_here, vector_entry_point=_not_here, kwargs={"id": _id})
+    gym.registry[_id].name += ", not here"  # so that gymnasium calls no version before it out of date

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextvars import ContextVar
 from functools import update_wrapper
 from types import MethodType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -14,34 +13,35 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType as Kind
 from sumo_env.config import Config
-from sumo_env.hints import INSTEAD, missing, never_called, page
+from sumo_env.hints import NEVER_CALLED, missing, page
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.observation import Situation
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
-from sumo_env.views import ActionType, Observed, RoadView, Vehicle, only_read, road_view
+from sumo_env.views import (
+    ActionType,
+    Observed,
+    RoadView,
+    Vehicle,
+    class_of_learning_cars,
+    only_read,
+    road_view,
+)
 
 
 class _ClassOrInstance:
-    """A method of an environment, or of a class of environments where it is called on that, as in highway-env.
-
-    While an environment asks for its defaults (`_defaults`), its classes stand for it: what a class method of a
-    subclass gets by ``super().default_config()`` are the defaults of that environment's task.
-    """
+    """A method of an environment, or of a class of environments where it is called on that, as in highway-env."""
 
     def __init__(self, function: Callable[[Any], Config]) -> None:
         self._function = function
         update_wrapper(self, function)  # type: ignore[arg-type]
 
     def __get__(self, instance: object, owner: type) -> MethodType:
-        if instance is None and isinstance(_configured.get(), owner):
-            instance = _configured.get()
         return MethodType(self._function, owner if instance is None else instance)
 
 
 class_or_instance: Any = _ClassOrInstance  # subclasses may write a method or a class method
-_configured: ContextVar[ReadAsHighwayEnv | None] = ContextVar("_configured", default=None)
 AFTER_RESET = ("vehicle", "controlled_vehicles", "road", "scene", "time", "steps")
 
 
@@ -50,6 +50,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     default_config: Any
     PERCEPTION_DISTANCE = PERCEPTION_DISTANCE  # [m]
+    scenario: Any
     scene: Scene
     steps: int
     config: dict[str, Any]
@@ -66,29 +67,33 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     _speed_index: int
     _view: RoadView | None = None
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        theirs = {name: part for part in reversed(cls.__mro__) for name in vars(part)}
-        for name in sorted(never_called() & theirs.keys()):
-            if theirs[name] is not ReadAsHighwayEnv:
-                told = f"{theirs[name].__name__}.{name} would never be called{INSTEAD.get(name, '')}"
-                raise TypeError(f"{told} ({page('from-highway-env', 'subclasses')})")
-
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> NoReturn:
             owner = type(self).__name__
             if name in AFTER_RESET:
                 raise AttributeError(f"{owner!r} has no attribute {name!r}: call reset() first", name=name)
-            raise missing(repr(owner), "env", name, dir(type(self)))
+            raise missing(repr(owner), name, dir(type(self)))
+
+    def _refuse_overrides(self) -> None:
+        """A TypeError about what a subclass overrides as in highway-env, and nothing calls here."""
+        for name, instead in NEVER_CALLED.items():
+            if getattr(type(self), name, None) is not getattr(ReadAsHighwayEnv, name, None):
+                owner = type(self).__name__
+                where = page("from-highway-env", "subclasses")
+                raise TypeError(f"{owner}.{name} would never be called: {instead} ({where})")
 
     def _defaults(self) -> Config:
-        """What `default_config` returns, while the classes of this environment stand for it."""
-        token = _configured.set(self)
-        try:
-            return dict(self.default_config())
-        finally:
-            _configured.reset(token)
+        """What `default_config` returns, which in a subclass may be a class method.
+
+        That asks its class for the task by ``super().default_config()``, so it is called on a class that has what this
+        environment has.
+        """
+        defaults = self.default_config
+        if isinstance(defaults.__self__, type):
+            known: Any = type(type(self).__name__, (type(self),), vars(self))
+            defaults = known.default_config
+        return dict(defaults())
 
     def _observe(self) -> NDArray[np.float32]:
         if self._own_observation is not None:
@@ -134,8 +139,14 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
                 "target_speeds": np.array(self.target_speeds),
             }
             connected = bool(self.config.get("neighbour_vehicles_connected_lanes"))
+            learning = self.scenario.further, class_of_learning_cars(self._action_type)
             self._view = road_view(
-                self.scene, self._road, self._spec_of, connected, **(targets if self.actions else {})
+                self.scene,
+                self._road,
+                self._spec_of,
+                connected,
+                learning,
+                **(targets if self.actions else {}),
             )
         return self._view
 

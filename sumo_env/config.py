@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 from sumo_env.hints import TYPES as NOT_HERE
-from sumo_env.hints import highway_env, page
+from sumo_env.hints import page
 
 Config = dict[str, Any]
 
@@ -124,6 +124,20 @@ FIXED: dict[str, tuple[Any, str]] = {
         "IDMVehicle compiled; 'risk' makes both risky",
     ),
 }
+# Tasks whose configurations are highway-env's. Keys of its other environments and versions, and of our other tasks, are
+# ignored there with a warning, as highway-env does; so are unknown keys of its observations and actions.
+HIGHWAY_ENVS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
+IGNORED = {
+    "action_reward", "add_walls", "after_merge_length", "arrived_reward", "before_merge_length", "block_lane",
+    "converge_merge_length", "derivative_noise", "destination", "ego_spacing", "force_decision", "goal_reward",
+    "incoming_vehicle_destination", "initial_lane_id", "initial_spacing", "initial_vehicle_count",
+    "lane_centering_cost", "lane_centering_reward", "lane_change_reward", "lanes_count", "left_lane_constraint",
+    "left_lane_reward", "length", "merging_speed_reward", "no_lanes", "normalize_reward", "offroad_terminal",
+    "oncoming_vehicles_count", "other_vehicles", "parallel_merge_length", "reward_speed_range",
+    "reward_weights", "right_lane_reward", "road_length", "roundabout_lanes", "roundabout_radius",
+    "spawn_probability", "speed_limit", "state_noise", "steering_range", "success_goal_reward",
+    "terminate_off_road", "vehicles_count", "vehicles_density",
+}  # fmt: skip
 # Keys by what other tasks or earlier versions of highway-env call them.
 RENAMED = {
     "initial_spacing": "ego_spacing",
@@ -187,7 +201,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     """
     known = {**COMMON, **defaults}
     config = copy.deepcopy(known)
-    ignored = highway_env()["ignored"].get(task, ())
+    is_theirs = task in HIGHWAY_ENVS
     for override in overrides:
         for key, given in keys_of(override).items():
             value = _plain(given)
@@ -198,7 +212,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 expected, reason = FIXED[key]
                 if value != expected:
                     raise ConfigError(f"config key {key!r} can only be {expected!r}, not {value!r}: {reason}")
-            elif key in ignored:
+            elif is_theirs and (key in IGNORED or (task, key) == ("two-way", "on_road_reward")):
                 ignore(f"the task {task!r}", str(key), _meant(str(key), known))
             elif key not in WITHOUT_EFFECT:
                 parts = [part for part, types in TYPES.items() if any(key in each for each in types)]
@@ -206,7 +220,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {meant}")
             config[key] = value
     frequency, given = "simulation_frequency", (overrides[-1] if overrides else None) or {}
-    if task in highway_env()["ignored"] and frequency not in given and config[frequency] == known[frequency]:
+    if is_theirs and frequency not in given and config[frequency] == known[frequency]:
         policy = config["policy_frequency"]
         if _is_number(policy) and policy > known[frequency]:  # nobody has asked for the default
             config[frequency] = max(known[frequency], STOCK_FREQUENCY)
@@ -300,8 +314,8 @@ def _check_type(task: str, group: str, given: Config, types: Mapping[str, Config
     defaults = types[one_of(f"{group} type", given["type"], tuple(types))]
     for key, value in given.items():
         if key not in defaults:
-            meant, theirs = _meant(str(key), defaults), highway_env()
-            if task in theirs["ignored"] and given["type"] in theirs["types"][group] and "known:" in meant:
+            meant = _meant(str(key), defaults)
+            if task in HIGHWAY_ENVS and defaults is not LEADERS_FOLLOWERS and "known:" in meant:
                 ignore(f"the {group} type {given['type']!r}", str(key), meant)
                 continue
             raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {meant}")

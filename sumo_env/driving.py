@@ -40,7 +40,7 @@ class DrivingEnv(OnScreen, OwnSumo):
     supports one simulation per process, so the first environment has it and every further one gets a worker process.
 
     A subclass may override `_reward`, `_rewards`, `_is_terminated`, `_is_truncated` and `default_config`, as in
-    highway-env; one that overrides a method of highway-env's that would never be called here is a TypeError.
+    highway-env; overriding a method of highway-env's that nothing calls here is a TypeError.
 
     Args:
         task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
@@ -72,6 +72,7 @@ class DrivingEnv(OnScreen, OwnSumo):
         **misplaced: Any,
     ) -> None:
         refuse_misplaced(misplaced)
+        self._refuse_overrides()
         self.task: Task = get_task(task)
         self._prepare_sumo(simulator, sumo_options, live, output_dir)
         self._open(render_mode)

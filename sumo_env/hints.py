@@ -1,64 +1,57 @@
-"""What highway-env has and this package has not: why, and what to use instead. Messages about it name a page.
-
-`highway_env.json` has the names of highway-env; ``python docs/highway_env_names.py`` makes it of highway-env's source.
-"""
+"""What highway-env has and this package has not: why, and what to use instead. Messages about it name a page."""
 
 from __future__ import annotations
 
 import difflib
-import json
 from collections.abc import Iterable
-from functools import cache
-from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+
+import gymnasium as gym
 
 # Where the documentation is as a site (make addresses fills it in); while this is empty, messages name files of the
 # repository.
 DOCUMENTATION = ""
 
-# Methods of highway-env's environments that are called here, so that subclasses may override them.
-CALLED = {
-    *("_reward", "_rewards", "_is_terminated", "_is_truncated", "_info", "default_config", "define_spaces"),
-    *("configure", "reset", "step", "render", "close", "metadata", "get_available_actions", "vehicle"),
-    "set_record_video_wrapper",
-}
-# Why a name of highway-env is not here, and what to use; by the names, and else by what has them.
+# Why a name of highway-env is not here, and what to use.
 _COPY = "the simulator drives the vehicles; copy.deepcopy(env), then step, drives ahead"
 _TRAFFIC = "config key 'risk', or drivers of your own, change the other vehicles"
 _ROAD = "a road belongs to a task of your own"
+_TASK = "write a task of your own"
+_REWARD = "override _reward or _rewards, and _is_terminated"
 _PICTURES = "render_mode='rgb_array' makes pictures, 'human' opens a window"
+_ACTIONS = "env.unwrapped.action_type has the actions, and config['action'] decides on them"
+# Of these nothing is called or read here, so that a class derived from an environment overrides them in vain.
+NEVER_CALLED: dict[str, str] = {
+    "_reset": "override reset(), and begin it with super().reset()",
+    **dict.fromkeys(("_make_road", "_create_road", "_make_vehicles", "_create_vehicles"), _TASK),
+    **dict.fromkeys(("_spawn_vehicle", "_clear_vehicles"), _TASK),
+    **dict.fromkeys(("_agent_reward", "_agent_rewards", "_agent_is_terminal"), _REWARD),
+    **dict.fromkeys(("change_vehicles", "randomize_behavior", "set_vehicle_field"), _TRAFFIC),
+    **dict.fromkeys(("set_preferred_lane", "call_vehicle_method", "set_route_at_intersection"), _TRAFFIC),
+    **dict.fromkeys(("_simulate", "simplify"), _COPY),
+    **dict.fromkeys(("_automatic_rendering", "update_metadata"), _PICTURES),
+    **dict.fromkeys(("ACTIONS", "ACTIONS_INDEXES"), _ACTIONS),
+    "PERCEPTION_DISTANCE": "within it (200 m) vehicles are seen here too, and it cannot be changed",
+    "has_arrived": "info['arrived'] says it of the ego; a task of your own decides on it",
+    "to_finite_mdp": "the observation 'TimeToCollision' has these predictions",
+}
 REASONS: dict[str, str] = {
-    **dict.fromkeys(("act", "step", "simplify", "predict_trajectory", "action", "history", "log"), _COPY),
-    **dict.fromkeys(("predict_trajectory_constant_speed", "record_history"), _COPY),
+    **NEVER_CALLED,
     **dict.fromkeys(
-        ("change_vehicles", "randomize_behavior", "set_vehicle_field", "set_preferred_lane"), _TRAFFIC
+        ("act", "step", "predict_trajectory", "action", "history", "log", "vehicle_class"), _COPY
     ),
-    **dict.fromkeys(("call_vehicle_method", "set_route_at_intersection"), _TRAFFIC),
+    **dict.fromkeys(("predict_trajectory_constant_speed", "record_history"), _COPY),
     **dict.fromkeys(("add_lane", "from_config", "straight_road_network", "to_config"), _ROAD),
-    **dict.fromkeys(("viewer", "enable_auto_render", "update_metadata"), _PICTURES),
+    **dict.fromkeys(("viewer", "enable_auto_render"), _PICTURES),
     **dict.fromkeys(
         ("route", "destination", "plan_route_to"), "env.unwrapped.scenario has where vehicles drive to"
     ),
-    "to_finite_mdp": "the observation 'TimeToCollision' has these predictions",
+    **dict.fromkeys(
+        ("create_random", "make_on_lane", "create_from", "np_random"),
+        "vehicles cannot be placed but by a task of your own; the generator is env.unwrapped.np_random",
+    ),
     "done": "step() returns whether the episode is over",
-    "has_arrived": "info['arrived'] says it of the ego",
-    "np_random": "env.unwrapped.np_random is the generator",
     "env": "read env.unwrapped",
-    "vehicle_class": _COPY,
-}
-# What to write in place of a method that nothing calls here.
-INSTEAD = {
-    "_reset": ": override reset(), and begin it with super().reset()",
-    **dict.fromkeys(("_make_road", "_create_road", "_make_vehicles", "_create_vehicles"), ": write a task"),
-}
-OTHERWISE = {
-    "env": "scripts can read what the page lists",
-    "vehicle": "the simulator drives the vehicles, and the page lists what can be read of them",
-    "road": "the simulator drives the vehicles, and the page lists what can be read of them",
-    "network": _ROAD,
-    "lane": "of a lane here, the geometry, width, speed limit and priority can be read",
-    "observation_type": "env.unwrapped.config['observation'] has its settings",
-    "action_type": "env.unwrapped.config['action'] has its settings",
 }
 # Types of observation and action of highway-env that are not here.
 TYPES = {
@@ -75,6 +68,35 @@ TYPES = {
     ),
     "TupleObservation": "a gymnasium.ObservationWrapper can join observations",
 }
+# Ids of highway-env that are not here: other roads, and of the five tasks on SUMO the later versions.
+_ROADS = (
+    *(
+        "exit-v0",
+        "exit-v1",
+        "lane-keeping-v0",
+        "merge-v0",
+        "merge-v1",
+        "merge-generic-v0",
+        "merge-generic-v1",
+    ),
+    *("parking-v0", "parking-ActionRepeat-v0", "parking-parked-v0", "racetrack-v0", "racetrack-v1"),
+    *("racetrack-large-v0", "racetrack-large-v1", "racetrack-oval-v0", "racetrack-oval-v1"),
+    *("roundabout-generic-v0", "roundabout-generic-v1"),
+)
+_LATER = ("roundabout-v1", "intersection-v1", "intersection-v2", "u-turn-v1")
+_SEVERAL = tuple(f"intersection-multi-agent-v{version}" for version in range(3))
+NOT_HERE = {
+    **{f"{of}/{id}": "write a network or a task of your own" for of in ("sumo", "replica") for id in _ROADS},
+    **{f"sumo/{id}": f"replica/{id} is this version" for id in _LATER},
+    **{f"sumo/{id}": "sumo/intersection-v0 has 'MultiAgentAction'" for id in _SEVERAL},
+}
+
+
+def not_here(id: str, **keywords: Any) -> NoReturn:
+    """What ``gym.make`` makes of an id of highway-env that is not here: gymnasium's error, with what to use."""
+    error = gym.error.NameNotFound if id.partition("/")[2] in _ROADS else gym.error.VersionNotFound
+    where = page("from-highway-env", "what-is-not-here")
+    raise error(f"there is no {id}, which highway-env has: {NOT_HERE[id]} ({where})")
 
 
 def page(name: str, section: str = "") -> str:
@@ -83,34 +105,18 @@ def page(name: str, section: str = "") -> str:
     return f"{DOCUMENTATION}/{name}.html{section}" if DOCUMENTATION else f"docs/{name}.md{section}"
 
 
-@cache
-def highway_env() -> dict[str, Any]:
-    """The names of highway-env, see ``docs/highway_env_names.py``."""
-    return dict(json.loads((Path(__file__).parent / "highway_env.json").read_text(encoding="utf-8")))
-
-
-def never_called() -> set[str]:
-    """What subclasses of highway-env's environments can override there, and nothing calls here."""
-    return set(highway_env()["methods"]) - CALLED
-
-
-def missing(owner: str, kind: str, name: str, known: Iterable[str] = ()) -> AttributeError:
+def missing(owner: str, name: str, known: Iterable[str]) -> AttributeError:
     """The error about an attribute that is not here.
 
     Args:
         owner: what lacks it, as its user knows it.
-        kind: a key of `OTHERWISE`.
         name: the attribute.
         known: what there is instead.
     """
     told = f"{owner} has no attribute {name!r}"
-    if name.startswith("_"):
-        return AttributeError(told, name=name)
-    if name in highway_env()["names"][kind]:
-        told += f", which highway-env has: {REASONS.get(name, OTHERWISE[kind])}"
+    if name in REASONS:
+        told += f": {REASONS[name]}"
     elif near := difflib.get_close_matches(name, list(known), n=1, cutoff=0.75):
         told += f": did you mean {near[0]!r}?"
-    else:
-        told += ", and highway-env has none either"
     # with its name alone, so that Python adds no guess of its own
     return AttributeError(f"{told} ({page('from-highway-env')})", name=name)

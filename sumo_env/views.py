@@ -6,8 +6,10 @@ present scene: a simulator drives the vehicles, so nothing can be changed throug
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Container, Mapping, Sequence
 from functools import cached_property
+from importlib import import_module
 from math import cos, sin
 from typing import Any, ClassVar, NoReturn
 
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType as Kind
+from sumo_env.actions import ContinuousAction
 from sumo_env.hints import missing, page
 from sumo_env.networks.lanes import Lane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
@@ -42,11 +45,27 @@ class _Vehicles(tuple["Vehicle", ...]):
 class _View:
     """Values that can only be read; an error about another one says what to use instead."""
 
-    kind: ClassVar[str]  # a key of `hints.OTHERWISE`
+    kind: ClassVar[str]  # as users know it
     _of: object = None  # what has the public attributes that the view itself lacks
+    _theirs = ""  # highway-env's class of this, "module:name"
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)
+
+    @property
+    def __class__(self) -> type:
+        """highway-env's own class if that is imported, so that ``isinstance`` answers as in highway-env."""
+        return _class_of_highway_env(self._theirs) or type(self)
+
+    @__class__.setter
+    def __class__(self, value: type) -> None:
+        raise only_read("__class__")
+
+    def __dir__(self) -> list[str]:
+        return [*dir(type(self)), *vars(self), *(name for name in dir(self._of) if name[0] != "_")]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _empty_view, (type(self),), vars(self)
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise only_read(name)
@@ -54,7 +73,23 @@ class _View:
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("_") and hasattr(self._of, name):
             return getattr(self._of, name)
-        raise missing(f"the {self.kind.replace('_', ' ')}", self.kind, name, dir(self))
+        raise missing(f"the {self.kind}", name, dir(self))
+
+
+def _empty_view(kind: type[_View]) -> _View:
+    """A view without values, which ``pickle`` and ``copy`` fill in."""
+    return kind()
+
+
+def _class_of_highway_env(path: str) -> type | None:
+    """A class of highway-env by "module:name", if highway-env is imported and has it."""
+    module, _, name = path.partition(":")
+    if "highway_env" not in sys.modules:
+        return None
+    try:
+        return getattr(import_module(f"highway_env.{module}"), name, None)
+    except ImportError:  # something else of that name
+        return None
 
 
 class LaneView(_View):
@@ -65,6 +100,10 @@ class LaneView(_View):
 
     kind = "lane"
     _of: Lane
+
+    @property
+    def _theirs(self) -> str:  # type: ignore[override]
+        return f"road.lane:{type(self._of).__name__}"
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, LaneView) and self._of == other._of
@@ -122,6 +161,7 @@ class Vehicle(_View):
     """A vehicle of the scene, as ``highway_env.vehicle.kinematics.Vehicle`` is read."""
 
     kind = "vehicle"
+    _theirs = "vehicle.behavior:IDMVehicle"
     id: str  # its name, "ego" for the ego
     position: Floats  # centre (x, y) [m]
     speed: float  # [m/s]
@@ -210,6 +250,7 @@ class RoadNetwork(_View):
     """The lanes, as ``highway_env.road.road.RoadNetwork`` is asked for them; `road` has the rest."""
 
     kind = "network"
+    _theirs = "road.road:RoadNetwork"
     road: Road
 
     def __repr__(self) -> str:
@@ -258,6 +299,12 @@ class RoadView(_View):
     scene: Scene  # places and speeds of all vehicles as arrays
     specs: Mapping[str, VehicleSpec]  # what vehicles were made from, by id
     neighbour_vehicles_connected_lanes: bool  # whether neighbours are looked for on the next lanes too
+
+    @property
+    def _theirs(self) -> str:  # type: ignore[override]
+        return (
+            "road.regulation:RegulatedRoad" if self.network.road.name == "intersection" else "road.road:Road"
+        )
 
     def __repr__(self) -> str:
         return repr(self.vehicles)
@@ -319,10 +366,30 @@ def _place(item: tuple[float, Vehicle | None]) -> float:
     return item[0]
 
 
+def class_of_learning_cars(kind: Kind) -> str:
+    """highway-env's class of the vehicles that take these actions, "module:name"."""
+    if not isinstance(kind, ContinuousAction):
+        return "vehicle.controller:MDPVehicle"
+    return "vehicle.dynamics:BicycleVehicle" if kind.dynamical else "vehicle.kinematics:Vehicle"
+
+
 def road_view(
-    scene: Scene, road: Road, specs: Mapping[str, VehicleSpec], connected: bool = False, **ego: Any
+    scene: Scene,
+    road: Road,
+    specs: Mapping[str, VehicleSpec],
+    connected: bool = False,
+    learning: tuple[Container[str], str] = ((), ""),
+    **ego: Any,
 ) -> RoadView:
-    """A scene as highway-env's road; `ego`: the further attributes of the ego."""
+    """A scene as highway-env's road.
+
+    Args:
+        scene, road: of the environment.
+        specs: what vehicles were made from, by id.
+        connected: see `RoadView.neighbour_vehicles_connected_lanes`.
+        learning: ids of learning cars beside the ego, and highway-env's class of all of them.
+        ego: the further attributes of the ego.
+    """
     positions = np.column_stack((scene.x, scene.y))
     positions.flags.writeable = False
     view = RoadView(
@@ -333,6 +400,8 @@ def road_view(
         length, width = scene.size(name)
         spec = specs.get(name)
         make, further = (Vehicle, {"target_speed": spec.target_speed} if spec else {}) if row else (Ego, ego)
+        if row == 0 or name in learning[0]:
+            further = {**further, "_theirs": learning[1]}
         vehicles.append(
             make(
                 id=name,
@@ -353,8 +422,13 @@ def road_view(
 class ActionType(_View):
     """The actions, as ``highway_env.envs.common.action`` has them: of meta-actions these attributes."""
 
-    kind = "action_type"
+    kind = "action type"
     _of: Kind
+
+    @property
+    def _theirs(self) -> str:  # type: ignore[override]
+        return f"envs.common.action:{type(self._of).__name__}"
+
     space: Callable[[], gym.Space[Any]]
     actions: dict[int, str]  # names by index
     actions_indexes: dict[str, int]  # indices by name
@@ -365,6 +439,11 @@ class ActionType(_View):
 class Observed(_View):
     """The type of observation, as ``highway_env.envs.common.observation`` has it."""
 
-    kind = "observation_type"
+    kind = "observation type"
+
+    @property
+    def _theirs(self) -> str:  # type: ignore[override]
+        return f"envs.common.observation:{type(self._of).__name__.removesuffix('s')}Observation"
+
     space: Callable[[], gym.Space[Any]]
     observe: Callable[[], NDArray[np.float32]]  # the present observation

@@ -18,9 +18,8 @@ import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from sumo_env.config import COMMON, ConfigError, _meant, ignore
+from sumo_env.config import COMMON, IGNORED, ConfigError, _meant, ignore
 from sumo_env.env import DrivingEnv
-from sumo_env.hints import highway_env
 from sumo_env.interface import ending
 from sumo_env.scene import Place
 from sumo_env.tasks import TASKS
@@ -149,7 +148,7 @@ def test_hints_do_not_mislead(task: str) -> None:
         "other_vehicles",
     }
     same = {"initial_vehicle_count", "vehicles_count"}  # what one task calls so, the others call otherwise
-    ignored = highway_env()["ignored"][task]
+    ignored = IGNORED | ({"on_road_reward"} if task == "two-way" else set())
     for key in others | scripts | {"seed", "initial_speed", "action_reward", "reward", "max_speed"}:
         if key in ignored:
             with pytest.warns(UserWarning, match=f"'{key}' has no effect") as warned:

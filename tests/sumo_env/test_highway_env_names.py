@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import warnings
 from collections.abc import Iterator
 from contextlib import closing
+from importlib import import_module
 from typing import Any
 
 import gymnasium as gym
-import highway_env  # noqa: F401  (registers)
+import highway_env.envs
 import numpy as np
 import pytest
+from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
-from docs import highway_env_names
 from sumo_env import hints
-from sumo_env.config import ConfigError, ignore
+from sumo_env.config import IGNORED, ConfigError, ignore
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv, HighwayEnvFast, IntersectionEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
@@ -27,12 +30,18 @@ from tests.processes import python
 CLASSES = (HighwayEnv, TwoWayEnv, RoundaboutEnv, IntersectionEnv, UTurnEnv)
 
 
-def test_the_names_are_those_of_the_installed_highway_env() -> None:
-    """The file is what ``python docs/highway_env_names.py`` writes."""
-    assert highway_env_names.FILE.read_text(encoding="utf-8") == highway_env_names.text()
-
-
 # -- keys ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_highway_env_ignores_what_is_ignored_here(task: str) -> None:
+    """Its episode is the same with any values of these keys."""
+    keys = IGNORED - TASKS[task].defaults.keys()
+    plain, given = (gym.make(f"{task}-v0", config=config) for config in ({}, dict.fromkeys(keys, 0.7)))
+    assert np.array_equal(plain.reset(seed=3)[0], given.reset(seed=3)[0])
+    for action in (1, 0):
+        ours, theirs = given.step(action), plain.step(action)
+        assert np.array_equal(ours[0], theirs[0]) and ours[1:4] == theirs[1:4]
 
 
 @pytest.mark.parametrize("id", ["sumo/highway-v0", "replica/highway-v0"])
@@ -235,20 +244,42 @@ def test_a_class_that_is_asked_for_in_the_wrong_place_is_told_the_right_one() ->
 
 
 def test_what_would_never_be_called_is_refused_with_its_page() -> None:
-    theirs = set(hints.highway_env()["methods"])
-    assert {"_make_road", "_simulate", "to_finite_mdp", "PERCEPTION_DISTANCE"} <= hints.never_called()
-    assert theirs | {"metadata"} >= hints.CALLED
-    for name in sorted(hints.never_called()):
+    """When an environment is made."""
+    theirs = {*dir(highway_env.envs.HighwayEnv), *dir(highway_env.envs.IntersectionEnv)}
+    for name in hints.NEVER_CALLED:
+        assert name in theirs, name
+        mixin = type("Mixin", (), {name: print})
         with pytest.raises(TypeError, match=rf"Mine\.{name} .*docs/from-highway-env\.md#subclasses"):
-            type("Mine", (HighwayEnv,), {name: None})
-    mixin = type("Mixin", (), {"_create_vehicles": lambda self: None})
-    with pytest.raises(TypeError, match=r"Mixin\._create_vehicles"):
-        type("Mine", (mixin, HighwayEnv), {})
+            type("Mine", (mixin, HighwayEnv), {})()
+
+
+@pytest.mark.parametrize("id", hints.NOT_HERE)
+def test_an_id_of_highway_env_that_is_not_here_says_what_to_use(id: str) -> None:
+    assert id.partition("/")[2] in gym.registry and id not in (*sumo_env.IDS, *sumo_env.REPLICA_IDS)
+    with pytest.raises(gym.error.UnregisteredEnv, match=r"which highway-env has.*docs/from-highway-env\.md"):
+        gym.make(id)
+
+
+def test_ids_that_are_not_here_leave_others_alone() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gym.make("sumo/u-turn-v0")
+        sumo_env.register("sumo/merge-v0", "u-turn")
+        gym.make("sumo/merge-v0")
+    del gym.registry["sumo/merge-v0"]
 
 
 # -- what is read --------------------------------------------------------------------------------------------
 
 VERSIONS = {"u-turn": 1, "roundabout": 1}  # with connected lanes
+MODULES = ("road.lane", "road.road", "road.regulation", "vehicle.objects", "vehicle.kinematics", "vehicle.controller",
+           "vehicle.behavior", "vehicle.dynamics", "envs.common.action", "envs.common.observation")  # fmt: skip
+THEIR_CLASSES = {
+    each
+    for module in MODULES
+    for each in vars(import_module(f"highway_env.{module}")).values()
+    if isinstance(each, type) and each.__module__.startswith("highway_env.")
+}
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -269,8 +300,49 @@ def test_what_is_read_of_the_replica_is_what_is_read_of_highway_env(task: str) -
     alike(ours, theirs)
 
 
+@pytest.mark.parametrize(
+    "action",
+    [
+        {"type": "ContinuousAction"},
+        {"type": "ContinuousAction", "dynamical": True},
+        {"type": "DiscreteAction"},
+    ],
+)
+def test_a_steered_ego_is_of_highway_envs_class(action: dict[str, Any]) -> None:
+    config = {"action": action, "vehicles_count": 2}
+    ours, theirs = (one(id, config) for id in ("replica/highway-v0", "highway-v0"))
+    ours.reset(seed=0), theirs.reset(seed=0)
+    same_kind(ours.vehicle, theirs.vehicle)
+    same_kind(ours.action_type, theirs.action_type)
+    again = pickle.loads(pickle.dumps(copy.deepcopy(ours.vehicle)))
+    assert type(again) is type(ours.vehicle) and repr(again) == repr(ours.vehicle)
+
+
+def one(id: str, config: dict[str, Any]) -> Any:
+    """An environment without wrappers."""
+    return gym.make(id, config=config).unwrapped
+
+
+def test_several_learning_cars_are_of_one_class() -> None:
+    actions = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
+    config = {"controlled_vehicles": 2, "action": actions}
+    env: Any = gym.make("sumo/intersection-v0", config=config).unwrapped
+    env.reset(seed=0)
+    learning = [vehicle.id for vehicle in env.road.vehicles if isinstance(vehicle, MDPVehicle)]
+    assert learning == [car.id for car in env.controlled_vehicles] and len(learning) == 2
+
+
+def same_kind(own: Any, other: Any) -> None:
+    """That ``isinstance`` with any class of highway-env answers the same of both."""
+    for each in THEIR_CLASSES:
+        assert isinstance(own, each) == isinstance(other, each), (own, each)
+
+
 def alike(ours: Any, theirs: Any) -> None:
     """Compare everything that can be read of two environments in the same state."""
+    for name in ("road", "observation_type", "action_type"):
+        same_kind(getattr(ours, name), getattr(theirs, name))
+    same_kind(ours.road.network, theirs.road.network)
     assert ours.time == pytest.approx(theirs.time)
     assert np.allclose(ours.observation_type.observe(), theirs.observation_type.observe(), atol=1e-5)
     assert ours.observation_type.space() == theirs.observation_type.space()
@@ -284,6 +356,7 @@ def alike(ours: Any, theirs: Any) -> None:
     )
     place, heading = theirs.vehicle.position, theirs.vehicle.heading
     for a, b in zip(mine.lanes_list(), yours.lanes_list(), strict=True):
+        same_kind(a, b)
         for name in ("local_coordinates", "distance", "on_lane", "is_reachable_from", "after_end"):
             expected = getattr(b, name)(place)
             assert getattr(a, name)(place) == pytest.approx(expected, abs=1e-6), name
@@ -301,6 +374,7 @@ def alike(ours: Any, theirs: Any) -> None:
     assert pairs[id(theirs.controlled_vehicles[0])] is ours.controlled_vehicles[0] is ours.vehicle
     for vehicle in theirs.road.vehicles:
         own = pairs[id(vehicle)]
+        same_kind(own, vehicle)
         assert own.road is ours.road and own.lane == mine.get_lane(own.lane_index)
         assert own.lane_index == vehicle.lane_index
         assert own.target_speed == pytest.approx(vehicle.target_speed)
@@ -329,31 +403,17 @@ class TestHints:
             env.reset(seed=0)
             yield env
 
-    def test_every_name_of_highway_env_can_be_read_or_says_why_not(self, env: Any) -> None:
-        views = {
-            "env": env, "vehicle": env.vehicle, "road": env.road, "network": env.road.network,
-            "lane": env.vehicle.lane, "observation_type": env.observation_type, "action_type": env.action_type,
-        }  # fmt: skip
-        assert views.keys() == hints.highway_env()["names"].keys() == hints.OTHERWISE.keys()
-        there = dict.fromkeys(views, 0)
-        for kind, names in hints.highway_env()["names"].items():
-            for name in names:
-                try:
-                    getattr(views[kind], name)
-                    there[kind] += 1
-                except AttributeError as error:
-                    said = str(error)
-                    assert "which highway-env has: " in said and "(docs/from-highway-env.md)" in said, said
-                    assert error.obj is None  # so that Python adds no guess
-        assert there["env"] >= 20 and there["vehicle"] >= 18, there
-
     @pytest.mark.parametrize(
         ("name", "message"),
         [
             ("vehicle.positon", "the vehicle has no attribute 'positon': did you mean 'position'"),
             ("road.vehicels", "the road has no attribute 'vehicels': did you mean 'vehicles'"),
-            ("road.network.nothing", "and highway-env has none either"),
+            ("road.network.nothing", r"docs/from-highway-env\.md"),
             ("controled_vehicles", "did you mean 'controlled_vehicles'"),
+            ("vehicle.act", "the vehicle has no attribute 'act': .*deepcopy"),
+            ("road.np_random", "vehicles cannot be placed.*env.unwrapped.np_random"),
+            ("observation_type.grid_siz", "the observation type has no attribute"),
+            ("to_finite_mdp", "TimeToCollision"),
         ],
     )
     def test_a_typo_is_told_from_what_is_missing(self, env: Any, name: str, message: str) -> None:
@@ -361,13 +421,9 @@ class TestHints:
         part = env
         for each in way:
             part = getattr(part, each)
-        with pytest.raises(AttributeError, match=message):
+        with pytest.raises(AttributeError, match=message) as caught:
             getattr(part, last)
-
-    def test_reasons_are_about_names_of_highway_env(self) -> None:
-        known = hints.highway_env()
-        assert hints.REASONS.keys() <= {name for names in known["names"].values() for name in names}
-        assert hints.TYPES.keys() <= {name for names in known["types"].values() for name in names}
+        assert caught.value.obj is None  # so that Python adds no guess
 
     def test_what_is_printed_says_where_a_vehicle_is(self, env: Any) -> None:
         ego = env.vehicle

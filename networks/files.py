@@ -182,7 +182,11 @@ def _read(path: Path, changed: int) -> Network:
         raise ValueError(
             f"{path} has no lane for passenger cars, only for: {', '.join(sorted(classes)) or 'nobody'}"
         )
-    meeting = Meeting(net, {name: found.shape for name, found in sumo_lanes.items()})
+    meeting = Meeting(
+        net,
+        {name: found.shape for name, found in sumo_lanes.items()},
+        {name: found.following for name, found in sumo_lanes.items()},
+    )
     return Network(path.name, Road(path.name, lanes), path, {}, first, indices, sumo_lanes, meeting=meeting)
 
 

@@ -9,7 +9,7 @@ that joins at a small angle).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from heapq import heappop, heappush
 from math import inf
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ SAMPLE = 5.0  # [m] between the points of a lane that are looked at
 FURTHEST = 100.0  # [m] between two junctions that are looked at: TTC_RADIUS of `sumo_env.contacts.measures`
 CLEARANCE = 3.0  # [m] of height between two roads, one above the other
 STEEPEST = 0.15  # metres of height per metre of road
+MOST_PASSED = 30  # lanes that a vehicle drives over in a step
 
 
 class Spot(NamedTuple):
@@ -37,9 +38,20 @@ class Spot(NamedTuple):
 class Meeting:
     """Which vehicles can meet on one network."""
 
-    def __init__(self, net: Any, shapes: Mapping[str, Sequence[Point]]) -> None:
-        """Read a network of sumolib (with the lanes inside junctions); `shapes` are the middles of its lanes [m]."""
-        self._shapes = shapes
+    def __init__(
+        self, net: Any, shapes: Mapping[str, Sequence[Point]], following: Mapping[str, Sequence[str]]
+    ) -> None:
+        """Read a network of sumolib (with the lanes inside junctions).
+
+        shapes, following: of each lane the points of its middle [m], and the lanes and joints that may come next.
+        """
+        self._shapes, self._following = shapes, following
+        self._inside: dict[str, list[tuple[str, str]]] = {}  # see `inside`
+        for start, after in following.items():
+            for lane in () if start.startswith(":") else after:
+                while lane.startswith(":"):  # a long way through a junction is made of several lanes
+                    before, lane = lane, next(iter(following[lane]), "")
+                    self._inside.setdefault(lane, []).append((before, _edge_of(start)))
         self._together: dict[tuple[str, str, str], float] = {}  # see `_side_by_side`
         self._edges: dict[str, _Edge] = {}
         self._leading: dict[
@@ -82,6 +94,22 @@ class Meeting:
                     gap -= JOINED + 2.0 * self._side_by_side(one.lane, other.lane, junction)
                 if gap <= 0.0:
                     return True
+        return False
+
+    def inside(self, spot: Spot, length: float, edge: str) -> list[str]:
+        """Lanes inside a junction on which a vehicle of this length [m] is that has come there from an edge."""
+        found = [spot.lane] if spot.lane.startswith(":") else []
+        if spot.position < length:
+            found += [lane for lane, start in self._inside.get(spot.lane, ()) if start == edge]
+        return found
+
+    def leads(self, before: str, after: str) -> bool:
+        """Whether a vehicle that drives on, and does not change lane, gets from one lane to another in a step."""
+        reached: Iterable[str] = (before,)
+        for _ in range(MOST_PASSED):
+            if after in reached:
+                return True
+            reached = {lane for name in reached for lane in self._following.get(name, ())}
         return False
 
     def _side_by_side(self, one: str, other: str, junction: str) -> float:

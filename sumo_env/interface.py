@@ -142,6 +142,7 @@ def on_its_way(place: Place) -> dict[str, Any]:
         "vehicles_waiting": place.waiting,
         "fuel": place.fuel,
         "electricity": place.electricity,
+        "overlap": place.overlap,
     }
 
 

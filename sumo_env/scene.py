@@ -78,6 +78,7 @@ class Place(NamedTuple):
         neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
         foe: the next vehicle to which it has to give way at the next junction: see `surroundings.foe`.
         target_speed: that is commanded [m/s]; its own speed where SUMO drives.
+        overlap: id of a vehicle whose outline the ego's has touched in this policy step without a crash, "" if none.
         fuel: burnt in this policy step [mg]; electricity: consumed [Wh].
     """
 
@@ -97,6 +98,7 @@ class Place(NamedTuple):
     target_speed: float = 0.0
     fuel: float = 0.0
     electricity: float = 0.0
+    overlap: str = ""
 
 
 @dataclass(frozen=True, slots=True)

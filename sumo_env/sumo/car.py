@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 
 from sumo_env.contacts.crash import CrashDetector, CrashRecord, record
 from sumo_env.contacts.measures import HORIZON
+from sumo_env.contacts.rectangles import CAR, State, first_touch
 from sumo_env.networks.meeting import Meeting
 from sumo_env.simulator import EgoCommand, EgoStep
 from sumo_env.sumo.ego import Ego
@@ -56,6 +57,8 @@ class Car(Generic[Driven]):
         if reported:
             partners = {one if other == name else other for one, other in reported if name in (one, other)}
         ids, found = around.within_reach(seen, before, dt, partners), None
+        if ids and not ego.overlaps_count:
+            ids = self._without_overlaps(ids, seen, before, partners)
         if ids or reported or detector.reported:
             crash = detector.detect(
                 time,
@@ -73,6 +76,19 @@ class Car(Generic[Driven]):
             least = self._least_ttc
             self._least_ttc = min(least, around.time_to_collision(min(least, HORIZON)))
         return found
+
+    def _without_overlaps(
+        self, ids: list[str], seen: State, before: dict[str, State], reported: Collection[str]
+    ) -> list[str]:
+        """Those of `ids` whose touch is a crash even if SUMO reports none; that of another one is noted."""
+        around, ego = self.around, self.ego
+        apart = [name for name in ids if name not in reported and around.passes(name, ego.is_sumos)]
+        if apart:
+            halves = self._session.halves((self.name, *apart)) or [CAR]
+            others = [before[name] for name in apart], [around.near[name] for name in apart]
+            touch = first_touch(seen, around.ego, *others, halves[1:], halves[0])
+            ego.overlap = ego.overlap if touch is None else apart[touch[0]]
+        return [name for name in ids if name not in apart]
 
     def be_hit(self, other: Car[Driven], crash: CrashRecord) -> None:
         """Another learning car has touched this one; the contact is this car's first one, unless it had one."""

@@ -25,6 +25,8 @@ class Ego:
     """The ego during one episode."""
 
     ended = ""  # its way does not end
+    overlaps_count = True  # whether each touch of outlines is a crash
+    is_sumos, overlap = False, ""  # see `RouteEgo`
 
     def __init__(
         self, session: Session, scenario: Scenario, network: Network, spec: VehicleSpec, vehicle: Vehicle

@@ -57,10 +57,9 @@ class FileSimulator(SumoSimulator):
 
     def _take_wheels(self) -> None:
         """Learning cars that have departed are the agents' from now on."""
-        energy, lights = self._traffic.measures_energy, self._scenario.obeys_lights
         for vehicle in self._departed:
             if vehicle.name in self._road:
-                self._take(RouteEgo(self._session, self._network, vehicle, lights, energy))
+                self._take(RouteEgo(self._session, self._network, vehicle, self._scenario))
         self._departed = []
 
     def _episode_folder(self) -> Path:

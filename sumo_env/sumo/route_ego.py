@@ -16,6 +16,7 @@ from sumo_env.sumo.ego import coast, driven
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.surroundings import foe, neighbours
 from sumo_env.sumo.vehicle import Vehicle
+from sumo_env.traffic.scenario import Scenario
 
 REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
 # [m/s2] usual and hardest braking before traffic lights; where one would need more than its own, the ego drives on
@@ -29,7 +30,8 @@ class RouteEgo:
 
     Attributes:
         speed: [m/s]; vehicle: it on the road.
-        ended, ahead: see `Place`.
+        ended, ahead, overlap: see `Place`.
+        overlaps_count: whether each touch of outlines is a crash.
         red_light: whether it has run a red light since `obey`.
     """
 
@@ -38,13 +40,14 @@ class RouteEgo:
         session: Session,
         network: Network,
         vehicle: Vehicle,
-        obeys_lights: bool,
-        measures_energy: bool = False,
+        scenario: Scenario,
     ) -> None:
-        """measures_energy: see `SumoTraffic`."""
+        assert scenario.traffic is not None
         name = vehicle.name
         self._session, self._network, self._name, self.vehicle = session, network, name, vehicle
-        self._obeys_lights, self._measures_energy = obeys_lights, measures_energy
+        self._obeys_lights, self._is_regular = scenario.obeys_lights, scenario.risk == 0.0
+        self._measures_energy = scenario.traffic.measures_energy
+        self.overlaps_count, self.overlap = scenario.traffic.overlaps_are_crashes, ""
         self._class = session.vehicle.getVehicleClass(name)
         self.speed = session.vehicle.getSpeed(name)
         self.ended, self.red_light = "", False
@@ -67,6 +70,7 @@ class RouteEgo:
         self._left = self._remaining()
         self._fuel = self._electricity = 0.0
         self._accel = self._session.vehicle.getAccel(self._name)
+        self.overlap = ""
         if self.vehicle.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
@@ -76,6 +80,11 @@ class RouteEgo:
             self._target_lane = self._index
         self.red_light = False
         self.vehicle.command(self._target_speed is not None, self._target_lane is not None)
+
+    @property
+    def is_sumos(self) -> bool:
+        """Whether SUMO alone drives it, among traffic without risk: then what it calls no collision is none."""
+        return self._is_regular and not (self.vehicle.has_speed or self.vehicle.has_lanes)
 
     def drive(self, here: State, dt: float) -> float:
         """Command the next step of `dt` [s]; `settle` says how far it gets."""
@@ -246,6 +255,7 @@ class RouteEgo:
             target_speed=self.speed if self._target_speed is None else self._target_speed,
             fuel=self._fuel,
             electricity=self._electricity,
+            overlap=self.overlap,
         )
 
     def _neighbours(self) -> tuple[Neighbour, ...]:

@@ -85,6 +85,8 @@ class Session:
         self._limits.clear()
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
+        has_sublanes = float(self.simulation.getOption("lateral-resolution")) > 0.0
+        self._angle = self._lane_angle if has_sublanes else self.vehicle.getAngle
 
     def clear(self, settings: Settings) -> bool:
         """Empty the road where these settings are loaded; the rest goes on. False where they are not.
@@ -195,6 +197,13 @@ class Session:
         """The vehicle type that a vehicle came with."""
         return str(self.vehicle.getTypeID(name)).partition("@")[0]
 
+    def edge_before(self, name: str) -> str:
+        """The edge by which a vehicle has come to the last junction of its way; "" where there was none."""
+        behind = int(self.vehicle.getRouteIndex(name))
+        if not self.vehicle.getLaneID(name).startswith(":"):
+            behind -= 1
+        return str(self.vehicle.getRoute(name)[behind]) if behind >= 0 else ""
+
     def route_ahead(self, name: str) -> tuple[str, ...]:
         """Edges that are left of a vehicle's route, the present one first."""
         return tuple(self.vehicle.getRoute(name)[max(self.vehicle.getRouteIndex(name), 0) :])
@@ -249,9 +258,22 @@ class Session:
         if not self._clock_is_ours():
             raise self.sumo.TraCIException("SUMO's time is not where this environment has left it")
 
+    def _lane_angle(self, name: str) -> float:
+        """The direction of a vehicle's lane where its middle is, as SUMO counts angles [deg].
+
+        In the sublane model SUMO's own angle is how it draws a vehicle that moves sideways; what it keeps apart are
+        lengths along the lane and widths across it.
+        """
+        drawn, lane = float(self.vehicle.getAngle(name)), self.vehicle.getLaneID(name)
+        middle = float(self.vehicle.getLanePosition(name)) - self.half(name)
+        if not lane or middle < 0.0:
+            return drawn
+        angle = float(self.sumo.lane.getAngle(lane, middle))
+        return angle if cos(radians(angle - drawn)) > 0.0 else drawn  # else on the lane of oncoming traffic
+
     def read(self, names: Iterable[str]) -> dict[str, State]:
         """States of these vehicles, in this order."""
-        position, angle, speed = self.vehicle.getPosition, self.vehicle.getAngle, self.vehicle.getSpeed
+        position, angle, speed = self.vehicle.getPosition, self._angle, self.vehicle.getSpeed
         if not self.sizes:
             return {name: _state(position(name), angle(name), speed(name)) for name in names}
         return {name: _state(position(name), angle(name), speed(name), self.half(name)) for name in names}
@@ -274,7 +296,7 @@ class Session:
 
         Distances are those of the front bumpers.
         """
-        position, angle, speed = self.vehicle.getPosition, self.vehicle.getAngle, self.vehicle.getSpeed
+        position, angle, speed = self.vehicle.getPosition, self._angle, self.vehicle.getSpeed
         own = position(name)
         x, y = own
         near, rest, sizes, reach = {}, [], self.sizes, radius * radius

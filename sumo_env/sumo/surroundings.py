@@ -7,13 +7,13 @@ the same states and takes longer than the rest of a sub-step on small roads (doc
 from __future__ import annotations
 
 from collections.abc import Collection
-from itertools import chain, repeat
+from itertools import chain, product, repeat
 from math import inf
 from operator import itemgetter
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
-from sumo_env.contacts.rectangles import CAR, DIAGONAL, Half, State, reach_of, stay_apart
+from sumo_env.contacts.rectangles import CAR, DIAGONAL, Half, State, reach_of, separation, stay_apart
 from sumo_env.networks.meeting import Meeting, Spot
 from sumo_env.scene import NOBODY, PERCEPTION_DISTANCE, Neighbour
 from sumo_env.sumo.session import Session
@@ -35,6 +35,7 @@ class Surroundings:
     ) -> None:
         self._session, self._name, self._meeting = session, ego, meeting
         self._spot: Spot | None = None  # the ego's, once asked for
+        self._lanes: dict[str, str] = {}  # of the ego and of those near it, on networks with a `meeting`
         self.ego: State
         self.near: dict[str, State]  # whose front is within `TTC_RADIUS` of the ego's, in alphabetical order
         self.list_vehicles()
@@ -57,6 +58,9 @@ class Surroundings:
             others = [name for name in others if due.get(name, time) <= time]
         (x, y, _, heading), self.near, distant = self._session.near(self._name, others, TTC_RADIUS)
         self._spot = None
+        if self._meeting is not None:
+            lane, self._lanes_before = self._session.vehicle.getLaneID, self._lanes
+            self._lanes = {name: lane(name) for name in (self._name, *self.near)}
         # SUMO's speed is the commanded one, which covers the way of a sub-step
         self.ego = x, y, speed, heading
         for name, further in distant:
@@ -103,8 +107,41 @@ class Surroundings:
         return [
             name
             for name in found
-            if name in reported or (not self._bends(name) and self._can_meet(name, halves.get(name, CAR), dt))
+            if name in reported
+            or (
+                not self._bends(name)
+                and self._can_meet(name, halves.get(name, CAR), dt)
+                and not self._has_jumped_past(name, halves.get(name, CAR))
+            )
         ]
+
+    def _has_jumped_past(self, name: str, half: Half) -> bool:
+        """Whether they are apart after a lane change of one of them, which SUMO makes without a way in between."""
+        before, after, meeting = self._lanes_before, self._lanes, self._meeting
+        assert meeting is not None
+        jumped = any(
+            not meeting.leads(before[one], after[one]) for one in (name, self._name) if one in before
+        )
+        return jumped and separation(self.ego, self.near[name], self._own_half(), half) > 0.0
+
+    def passes(self, name: str, is_sumos: bool) -> bool:
+        """Whether a touch of the ego and another vehicle is one of outlines alone, which SUMO's rules allow.
+
+        Their ways through a junction are in no conflict by SUMO's matrix, or both are on lanes and `is_sumos`: SUMO
+        alone drives the ego.
+        """
+        if self._meeting is None:
+            return False
+        if is_sumos and self._lanes[name]:
+            return True
+        of, foes = self._session, self._session.sumo.lane.getInternalFoes
+        own, others = (
+            self._meeting.inside(of.spot(one), 2.0 * of.half(one), of.edge_before(one))
+            for one in (self._name, name)
+        )
+        pairs = list(product(own, others))
+        known = any(one == other or other in foes(one) or one in foes(other) for one, other in pairs)
+        return bool(pairs) and not known
 
     def _bends(self, name: str) -> bool:
         """Whether a vehicle or the ego has several parts, and one straight outline says nothing in a bend."""

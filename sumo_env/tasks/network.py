@@ -49,6 +49,7 @@ class NetworkTask(Task):
         "warm_up": 0,  # [s] that the traffic drives before the ego comes
         "wait": 600,  # [s] that SUMO may need to insert the ego
         "obey_traffic_lights": False,  # whether the ego stops at red and yellow lights, whatever the agent does
+        "overlaps_are_crashes": False,  # also where SUMO lets vehicles pass whose outlines touch (docs/collisions.md)
         "initial_speed": None,  # of the ego [m/s]; None for SUMO's choice
         "duration": 60,  # [s]
         # A crash costs what the whole way and the arrival bring, at any policy frequency.
@@ -250,6 +251,7 @@ class NetworkTask(Task):
                 stopping=tuple(sorted(self._contents.stopping)),
                 duration=float(config["duration"]),
                 measures_energy=measures_energy(config),
+                overlaps_are_crashes=bool(config["overlaps_are_crashes"]),
             ),
         )
 

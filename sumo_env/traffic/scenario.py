@@ -113,6 +113,7 @@ class SumoTraffic:
         duration: of the episode [s], after which no event begins.
         seed: of SUMO's random numbers; None for that of the scenario.
         measures_energy: whether SUMO is asked what the ego consumes.
+        overlaps_are_crashes: whether the ego crashes where its outline touches another one that SUMO lets pass.
         imagined: seed of the risk events after `Simulator.imagine`; None for that of the scenario.
     """
 
@@ -129,6 +130,7 @@ class SumoTraffic:
     seed: int | None = None
     imagined: int | None = None
     measures_energy: bool = False
+    overlaps_are_crashes: bool = False
     car_type: str = ""
     max_cars: int = 1
 

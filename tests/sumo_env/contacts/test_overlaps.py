@@ -1,0 +1,135 @@
+"""Outlines that touch where SUMO sees no collision: at lane changes, sideways, on ways through a junction."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.networks import files
+from sumo_env.sumo.route_ego import RouteEgo
+from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
+from tests.sumo_env.rollout import drive
+from tests.sumo_env.scenario.driven import KINDS
+
+pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*")]
+LEFT, IDLE, RIGHT, FASTER, _ = range(5)
+SUMO_DRIVES = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
+KEY = "overlaps_are_crashes"
+
+ROAD = '<node id="a" x="0" y="0"/><node id="b" x="300" y="0"/>'
+# the right lane is drawn 8 m ahead of the left one
+STAGGERED = (
+    ROAD,
+    '<edge id="ab" from="a" to="b" numLanes="2" speed="20" length="300">'
+    '<lane index="0" shape="8,-4.8 308,-4.8"/></edge>',
+)
+WIDE = ROAD, '<edge id="ab" from="a" to="b" numLanes="3" speed="20"/>'
+CROSSING = (
+    '<node id="w" x="-100" y="0"/><node id="e" x="100" y="0"/><node id="s" x="0" y="-100"/>'
+    '<node id="n" x="0" y="100"/><node id="c" x="0" y="0" type="{}"/>',
+    "".join(
+        f'<edge id="{way}" from="{way[0]}" to="{way[1]}" speed="14"/>' for way in ("wc", "ce", "sc", "cn")
+    ),
+    '<connection from="wc" to="ce"/><connection from="sc" to="cn"/>',
+)
+
+
+def stand(env: SumoDrivingEnv, route: list[str], lane: str, position: float) -> None:
+    """Somebody stands on a lane [m], for good."""
+    vehicle = env.sumo.vehicle
+    env.sumo.route.add("another", route)
+    vehicle.add("another", "another", departSpeed="0")
+    vehicle.moveTo("another", lane, position)
+    vehicle.setSpeedMode("another", 32)
+    vehicle.setLaneChangeMode("another", 0)
+    vehicle.setSpeed("another", 0.0)
+
+
+@pytest.mark.parametrize(("behind", "crashes"), [(0.5, False), (5.0, True)])
+def test_a_lane_change_that_sumo_makes_at_once_sweeps_nothing(
+    tmp_path: Path, behind: float, crashes: bool
+) -> None:
+    """From beside a car to a place before it that is free; where the place is taken, it is a crash."""
+    net = build(tmp_path, STAGGERED)
+    config = {**QUIET, "policy_frequency": 10, "initial_speed": 5}
+    with closing(SumoDrivingEnv(net, [["ab"]], ["ab"], config)) as env:
+        env.reset(seed=0)
+        env.sumo.vehicle.moveTo("ego", "ab_1", 60.0)
+        stand(env, ["ab"], "ab_0", 54.5 + behind)
+        env.step(IDLE)
+        info = env.step(RIGHT)[-1]
+        assert env.sumo.vehicle.getLaneID("ego") == "ab_0"
+        assert (info["crash"].get("detected_by"), info["crashed"]) == (
+            ("both" if crashes else None),
+            crashes,
+        )
+
+
+def test_in_the_sublane_model_a_vehicle_is_as_its_lane_is(tmp_path: Path) -> None:
+    """SUMO draws a vehicle that moves sideways at a standstill across its lane."""
+    net = build(tmp_path, WIDE)
+    routes = route_file(tmp_path, '<trip id="ego" depart="0" from="ab" to="ab"/>')
+    config = {"policy_frequency": 10, "action": SUMO_DRIVES}
+    options = ["--lateral-resolution", "0.8"]
+    with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, sumo_options=options)) as env:
+        env.reset(seed=0)
+        env.sumo.vehicle.setSpeed("ego", 1.0)
+        drawn = []
+        for step in range(60):
+            if step % 10 == 0:
+                env.sumo.vehicle.changeSublane("ego", -2.0 if step % 20 else 2.0)
+            env.step(0)
+            drawn.append(abs(env.sumo.vehicle.getAngle("ego") - 90.0))
+            assert env.scene.heading[0] == pytest.approx(0.0, abs=1e-6)
+        assert max(drawn) > 10.0
+
+
+@pytest.mark.parametrize("by_sumo", [False, True])
+def test_ways_that_sumo_lets_pass_through_each_other_are_named(tmp_path: Path, by_sumo: bool) -> None:
+    """On a junction without rules SUMO knows no conflict; on a regulated one a touch is a crash of either ego."""
+    found = {}
+    for rule in ("unregulated", "priority"):
+        nodes, *more = CROSSING
+        net = build(tmp_path, (nodes.format(rule), *more), "--no-turnarounds")
+        (inside,) = files.network(net).sumo_lanes["sc_0"].following
+        for counts in (False, True):
+            config = {**QUIET, "policy_frequency": 10, KEY: counts}
+            config |= {"action": SUMO_DRIVES} if by_sumo else {}
+            with closing(SumoDrivingEnv(net, [["wc", "ce"]], ["wc", "ce"], config)) as env:
+                env.reset(seed=0)
+                stand(env, ["sc", "cn"], inside, env.sumo.lane.getLength(inside) * 0.8)
+                infos = [result[-1] for result in drive(env, 0 if by_sumo else FASTER)]
+                names = {info["overlap"] for info in infos} - {""}
+                found[rule, counts] = infos[-1]["crash"].get("detected_by"), names
+    assert found["unregulated", False] == (None, {"another"})
+    assert found["unregulated", True] == ("geometry", set())
+    if not by_sumo:
+        assert found["priority", False] == found["priority", True] != (None, set())
+
+
+@pytest.mark.parametrize(
+    ("episodes", "is_judged_by_outlines"),
+    [pytest.param(5, True, marks=pytest.mark.slow), pytest.param(50, False, marks=pytest.mark.long)],
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_ego_that_sumo_drives_crashes_where_sumo_reports_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind, episodes: int, is_judged_by_outlines: bool
+) -> None:
+    """At risk 0. In a few episodes by outlines as well, as for an ego of the agent's: these touch nowhere."""
+    if is_judged_by_outlines:
+        monkeypatch.setattr(RouteEgo, "is_sumos", False)
+    overlaps = 0
+    for number in range(episodes):
+        net, routes, options = kind(tmp_path, Random(number))
+        config = {"action": SUMO_DRIVES, "duration": 60, "policy_frequency": 2}
+        with closing(
+            SumoDrivingEnv(net, str(routes), ego_vehicle="ego", config=config, sumo_options=options)
+        ) as env:
+            infos = [result[-1] for result in drive(env, 0, number)]
+        assert infos[-1]["crash"].get("detected_by") != "geometry", number
+        overlaps += any(info["overlap"] for info in infos)
+    assert overlaps or kind.__name__ != "junctions"

@@ -1,0 +1,115 @@
+"""Scenarios in SUMO's own files on which outlines touch where SUMO sees no collision, drawn by a number each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from random import Random
+
+from tests.sumo_env.plans import build, grid, route_file
+
+TYPES = """
+    <vType id="car" carFollowModel="IDM" probability="3"/>
+    <vType id="keen" lcSpeedGain="5" lcKeepRight="2" maxSpeedLat="1.5" probability="2"/>
+    <vType id="bus" vClass="bus" probability="1"/>
+    <vType id="lorry" vClass="truck" probability="1"/>
+    <vType id="moped" vClass="moped" latAlignment="arbitrary" probability="2"/>
+"""
+FLOW = '<flow id="{id}" begin="0" end="200" probability="{often:.2f}" type="mix" departLane="{lane}" {way}/>'
+
+
+def _routes(folder: Path, ways: list[str], rng: Random, ego: str) -> Path:
+    """Mixed traffic on these ways, among which the ego departs."""
+    flows = [
+        FLOW.format(
+            id=f"f{number}",
+            often=rng.uniform(0.15, 0.5),
+            lane=rng.choice(["best", "random", "free"]),
+            way=way,
+        )
+        for number, way in enumerate(ways)
+    ]
+    start = f'<trip id="ego" type="keen" depart="{rng.randint(30, 80)}" departLane="best" {ego}/>'
+    mix = f'<vTypeDistribution id="mix">{TYPES}</vTypeDistribution>'
+    return route_file(folder, mix + "".join(flows) + start)
+
+
+def _between(start: str, end: str) -> str:
+    return f'from="{start}" to="{end}"'
+
+
+def sublanes(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
+    """Streets with two or three lanes, on which vehicles drive beside the middle of their lanes."""
+    net = grid(
+        folder,
+        "--grid.number=3",
+        "--grid.length=120",
+        f"-L={rng.randint(2, 3)}",
+        "--no-turnarounds",
+        "--tls.guess",
+    )
+    ends = [
+        _between(*pair) for pair in (("A0A1", "C2C1"), ("C2C1", "A0A1"), ("B0B1", "B1A1"), ("A1B1", "B1B2"))
+    ]
+    return (
+        net,
+        _routes(folder, ends, rng, ends[0]),
+        ["--lateral-resolution", f"{rng.choice([0.4, 0.8, 3.2])}"],
+    )
+
+
+def bus_lanes(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
+    """Lanes of one edge that are drawn elsewhere along the road: SUMO's metres of one are not beside the other's."""
+    edges, nodes = "", '<node id="n0" x="0" y="0"/>'
+    for k in range(4):
+        x, ahead = 150 * k, rng.uniform(3.0, 8.0) * rng.choice([-1, 1])
+        nodes += f'<node id="n{k + 1}" x="{x + 150}" y="0"/>'
+        lane = f'<lane index="0" shape="{x + 10 + ahead:.1f},-8 {x + 140 + ahead:.1f},-8"/>'
+        closed = '<lane index="2" allow="bus"/>' if k % 2 else ""
+        edges += f'<edge id="e{k}" from="n{k}" to="n{k + 1}" numLanes="3" speed="14">{lane}{closed}</edge>'
+    net = build(folder, (nodes, edges), "--no-turnarounds")
+    way = _between("e0", "e3")
+    stops = "".join(
+        f'<vehicle id="s{k}" type="{kind}" depart="{2 * k}" departLane="{k % 2}"><route edges="e0 e1 e2 e3"/>'
+        f'<stop lane="e{1 + k % 3}_{k % 2}" endPos="{rng.uniform(20, 120):.1f}" duration="25"/></vehicle>'
+        for k, kind in enumerate(rng.choices(["car", "bus"], k=12))
+    )
+    routes = _routes(folder, [way, way], rng, way)
+    routes.write_text(routes.read_text().replace("<trip", stops + "<trip"))
+    return net, routes, []
+
+
+def junctions(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
+    """A large junction in which SUMO lets the turns to the left of both directions pass through each other."""
+    ends = {"n": (0, 200), "s": (0, -200), "e": (200, 0), "w": (-200, 0)}
+    kind = rng.choice(["unregulated", "traffic_light"])
+    nodes = f'<node id="c" x="0" y="0" radius="25" type="{kind}"/>'
+    nodes += "".join(f'<node id="{name}" x="{x}" y="{y}"/>' for name, (x, y) in ends.items())
+    edges = "".join(
+        f'<edge id="{a}{b}" from="{a}" to="{b}" numLanes="2" speed="14"/>'
+        for name in ends
+        for a, b in ((name, "c"), ("c", name))
+    )
+    net = build(folder, (nodes, edges), "--no-turnarounds")
+    ways = [_between(f"{a}c", f"c{b}") for a, b in ("wn", "es", "we", "ns")]
+    return net, _routes(folder, ways, rng, ways[0]), []
+
+
+def bridges(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
+    """A road over another one, beside a road at the same height without a junction."""
+    places = {"w": (0, 0, 8), "e": (250, 0, 8), "s": (100, -120, 0), "n": (100, 120, 0)}
+    places |= {"t": (150, 120, 8), "q": (150, -120, 8)}
+    nodes = "".join(f'<node id="{name}" x="{x}" y="{y}" z="{z}"/>' for name, (x, y, z) in places.items())
+    edges = "".join(
+        f'<edge id="{way}" from="{way[0]}" to="{way[1]}" numLanes="2" speed="14"/>'
+        for way in ("we", "sn", "tq")
+    )
+    net = build(folder, (nodes, edges), "--no-turnarounds")
+    ways = [_between(way, way) for way in ("we", "sn", "tq")]
+    return (
+        net,
+        _routes(folder, ways, rng, ways[0]),
+        ["--lateral-resolution", "0.8"] if rng.random() < 0.5 else [],
+    )
+
+
+KINDS = (sublanes, bus_lanes, junctions, bridges)

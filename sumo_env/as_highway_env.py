@@ -19,15 +19,7 @@ from sumo_env.observation import Situation
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
-from sumo_env.views import (
-    ActionType,
-    Observed,
-    RoadView,
-    Vehicle,
-    class_of_learning_cars,
-    only_read,
-    road_view,
-)
+from sumo_env.views import RoadView, Vehicle, View, only_read, road_view
 
 
 class _ClassOrInstance:
@@ -43,6 +35,28 @@ class _ClassOrInstance:
 
 class_or_instance: Any = _ClassOrInstance  # subclasses may write a method or a class method
 AFTER_RESET = ("vehicle", "controlled_vehicles", "road", "scene", "time", "steps")
+
+
+class ActionType(View):
+    """The actions, as ``highway_env.envs.common.action`` has them: of meta-actions these attributes."""
+
+    kind = "action type"
+    _of: Kind
+
+    space: Callable[[], gym.Space[Any]]
+    actions: dict[int, str]  # names by index
+    actions_indexes: dict[str, int]  # indices by name
+    target_speeds: NDArray[np.float64]  # [m/s]
+    get_available_actions: Callable[[], list[int]]
+
+
+class Observed(View):
+    """The type of observation, as ``highway_env.envs.common.observation`` has it."""
+
+    kind = "observation type"
+
+    space: Callable[[], gym.Space[Any]]
+    observe: Callable[[], NDArray[np.float32]]  # the present observation
 
 
 class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
@@ -138,14 +152,13 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
                 "target_speed": self.target_speeds[self._speed_index],
                 "target_speeds": np.array(self.target_speeds),
             }
-            connected = bool(self.config.get("neighbour_vehicles_connected_lanes"))
-            learning = self.scenario.further, class_of_learning_cars(self._action_type)
             self._view = road_view(
                 self.scene,
                 self._road,
                 self._spec_of,
-                connected,
-                learning,
+                self.scenario.further,
+                self._action_type,
+                bool(self.config.get("neighbour_vehicles_connected_lanes")),
                 **(targets if self.actions else {}),
             )
         return self._view

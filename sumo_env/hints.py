@@ -17,39 +17,39 @@ _COPY = "the simulator drives the vehicles; copy.deepcopy(env), then step, drive
 _TRAFFIC = "config key 'risk', or drivers of your own, change the other vehicles"
 _ROAD = "a road belongs to a task of your own"
 _TASK = "write a task of your own"
-_REWARD = "override _reward or _rewards, and _is_terminated"
 _PICTURES = "render_mode='rgb_array' makes pictures, 'human' opens a window"
-_ACTIONS = "env.unwrapped.action_type has the actions, and config['action'] decides on them"
+_PLACES = "vehicles cannot be placed but by a task of your own; the generator is env.unwrapped.np_random"
+
+
+def _all(names: str, reason: str) -> dict[str, str]:
+    return dict.fromkeys(names.split(), reason)
+
+
 # Of these nothing is called or read here, so that a class derived from an environment overrides them in vain.
 NEVER_CALLED: dict[str, str] = {
+    **_all("_make_road _create_road _make_vehicles _create_vehicles _spawn_vehicle _clear_vehicles", _TASK),
+    **_all("_agent_reward _agent_rewards _agent_is_terminal", "override _reward, _rewards or _is_terminated"),
+    **_all("change_vehicles randomize_behavior set_vehicle_field set_preferred_lane", _TRAFFIC),
+    **_all("call_vehicle_method set_route_at_intersection", _TRAFFIC),
+    **_all("_simulate simplify", _COPY),
+    **_all("_automatic_rendering update_metadata", _PICTURES),
+    **_all(
+        "ACTIONS ACTIONS_INDEXES",
+        "env.unwrapped.action_type has the actions, config['action'] decides on them",
+    ),
     "_reset": "override reset(), and begin it with super().reset()",
-    **dict.fromkeys(("_make_road", "_create_road", "_make_vehicles", "_create_vehicles"), _TASK),
-    **dict.fromkeys(("_spawn_vehicle", "_clear_vehicles"), _TASK),
-    **dict.fromkeys(("_agent_reward", "_agent_rewards", "_agent_is_terminal"), _REWARD),
-    **dict.fromkeys(("change_vehicles", "randomize_behavior", "set_vehicle_field"), _TRAFFIC),
-    **dict.fromkeys(("set_preferred_lane", "call_vehicle_method", "set_route_at_intersection"), _TRAFFIC),
-    **dict.fromkeys(("_simulate", "simplify"), _COPY),
-    **dict.fromkeys(("_automatic_rendering", "update_metadata"), _PICTURES),
-    **dict.fromkeys(("ACTIONS", "ACTIONS_INDEXES"), _ACTIONS),
-    "PERCEPTION_DISTANCE": "within it (200 m) vehicles are seen here too, and it cannot be changed",
+    "PERCEPTION_DISTANCE": "vehicles are seen within 200 m, which cannot be changed",
     "has_arrived": "info['arrived'] says it of the ego; a task of your own decides on it",
     "to_finite_mdp": "the observation 'TimeToCollision' has these predictions",
 }
 REASONS: dict[str, str] = {
     **NEVER_CALLED,
-    **dict.fromkeys(
-        ("act", "step", "predict_trajectory", "action", "history", "log", "vehicle_class"), _COPY
-    ),
-    **dict.fromkeys(("predict_trajectory_constant_speed", "record_history"), _COPY),
-    **dict.fromkeys(("add_lane", "from_config", "straight_road_network", "to_config"), _ROAD),
-    **dict.fromkeys(("viewer", "enable_auto_render"), _PICTURES),
-    **dict.fromkeys(
-        ("route", "destination", "plan_route_to"), "env.unwrapped.scenario has where vehicles drive to"
-    ),
-    **dict.fromkeys(
-        ("create_random", "make_on_lane", "create_from", "np_random"),
-        "vehicles cannot be placed but by a task of your own; the generator is env.unwrapped.np_random",
-    ),
+    **_all("act step action history log vehicle_class record_history", _COPY),
+    **_all("predict_trajectory predict_trajectory_constant_speed", _COPY),
+    **_all("add_lane from_config straight_road_network to_config", _ROAD),
+    **_all("viewer enable_auto_render", _PICTURES),
+    **_all("route destination plan_route_to", "env.unwrapped.scenario has where vehicles drive to"),
+    **_all("create_random make_on_lane create_from np_random", _PLACES),
     "done": "step() returns whether the episode is over",
     "env": "read env.unwrapped",
 }
@@ -69,32 +69,26 @@ TYPES = {
     "TupleObservation": "a gymnasium.ObservationWrapper can join observations",
 }
 # Ids of highway-env that are not here: other roads, and of the five tasks on SUMO the later versions.
-_ROADS = (
-    *(
-        "exit-v0",
-        "exit-v1",
-        "lane-keeping-v0",
-        "merge-v0",
-        "merge-v1",
-        "merge-generic-v0",
-        "merge-generic-v1",
-    ),
-    *("parking-v0", "parking-ActionRepeat-v0", "parking-parked-v0", "racetrack-v0", "racetrack-v1"),
-    *("racetrack-large-v0", "racetrack-large-v1", "racetrack-oval-v0", "racetrack-oval-v1"),
-    *("roundabout-generic-v0", "roundabout-generic-v1"),
-)
-_LATER = ("roundabout-v1", "intersection-v1", "intersection-v2", "u-turn-v1")
-_SEVERAL = tuple(f"intersection-multi-agent-v{version}" for version in range(3))
+_ROADS = """exit-v0 exit-v1 lane-keeping-v0 merge-v0 merge-v1 merge-generic-v0 merge-generic-v1 parking-v0
+    parking-ActionRepeat-v0 parking-parked-v0 racetrack-v0 racetrack-v1 racetrack-large-v0 racetrack-large-v1
+    racetrack-oval-v0 racetrack-oval-v1 roundabout-generic-v0 roundabout-generic-v1"""
 NOT_HERE = {
-    **{f"{of}/{id}": "write a network or a task of your own" for of in ("sumo", "replica") for id in _ROADS},
-    **{f"sumo/{id}": f"replica/{id} is this version" for id in _LATER},
-    **{f"sumo/{id}": "sumo/intersection-v0 has 'MultiAgentAction'" for id in _SEVERAL},
+    **{
+        f"{of}/{id}": "write a network or a task of your own"
+        for of in ("sumo", "replica")
+        for id in _ROADS.split()
+    },
+    **_all("sumo/roundabout-v1 sumo/intersection-v1 sumo/intersection-v2 sumo/u-turn-v1", "replica/* has it"),
+    **_all(
+        "sumo/intersection-multi-agent-v0 sumo/intersection-multi-agent-v1 sumo/intersection-multi-agent-v2",
+        "sumo/intersection-v0 has 'MultiAgentAction'",
+    ),
 }
 
 
 def not_here(id: str, **keywords: Any) -> NoReturn:
     """What ``gym.make`` makes of an id of highway-env that is not here: gymnasium's error, with what to use."""
-    error = gym.error.NameNotFound if id.partition("/")[2] in _ROADS else gym.error.VersionNotFound
+    error = gym.error.NameNotFound if id.partition("/")[2] in _ROADS.split() else gym.error.VersionNotFound
     where = page("from-highway-env", "what-is-not-here")
     raise error(f"there is no {id}, which highway-env has: {NOT_HERE[id]} ({where})")
 

@@ -7,24 +7,39 @@ present scene: a simulator drives the vehicles, so nothing can be changed throug
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from functools import cached_property
 from importlib import import_module
 from math import cos, sin
 from typing import Any, ClassVar, NoReturn
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType as Kind
-from sumo_env.actions import ContinuousAction
 from sumo_env.hints import missing, page
 from sumo_env.networks.lanes import Lane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.observation import FEATURES, destination_direction
 from sumo_env.scene import Floats, Scene
 from sumo_env.traffic.scenario import VehicleSpec
+
+# Modules of highway-env and, where it has another name there, the class that views stand for.
+THEIRS = {
+    "Vehicle": "vehicle.behavior:IDMVehicle",
+    "DiscreteMetaAction ego": "vehicle.controller:MDPVehicle",
+    "ContinuousAction ego": "vehicle.kinematics:Vehicle",
+    "DiscreteAction ego": "vehicle.kinematics:Vehicle",
+    "dynamical ego": "vehicle.dynamics:BicycleVehicle",
+    "RoadView": "road.road:Road",
+    "intersection": "road.regulation:RegulatedRoad",
+    "RoadNetwork": "road.road",
+    **dict.fromkeys(("StraightLane", "SineLane", "CircularLane", "PolyLane"), "road.lane"),
+    **dict.fromkeys(("DiscreteMetaAction", "ContinuousAction", "DiscreteAction"), "envs.common.action"),
+    "Kinematics": "envs.common.observation:KinematicObservation",
+    "TimeToCollision": "envs.common.observation:TimeToCollisionObservation",
+    "OccupancyGrid": "envs.common.observation:OccupancyGridObservation",
+}
 
 
 def only_read(name: str) -> AttributeError:
@@ -42,30 +57,30 @@ class _Vehicles(tuple["Vehicle", ...]):
         raise only_read("vehicles") if hasattr(list, name) else AttributeError(name)
 
 
-class _View:
+class View:
     """Values that can only be read; an error about another one says what to use instead."""
 
     kind: ClassVar[str]  # as users know it
     _of: object = None  # what has the public attributes that the view itself lacks
-    _theirs = ""  # highway-env's class of this, "module:name"
+    _theirs = ""  # a key of `THEIRS`; else that of the class of `_of`, or of the view
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)
 
-    @property
+    @property  # type: ignore[misc]
     def __class__(self) -> type:
         """highway-env's own class if that is imported, so that ``isinstance`` answers as in highway-env."""
-        return _class_of_highway_env(self._theirs) or type(self)
-
-    @__class__.setter
-    def __class__(self, value: type) -> None:
-        raise only_read("__class__")
+        name = self._theirs or type(self if self._of is None else self._of).__name__
+        if "highway_env" not in sys.modules or name not in THEIRS:
+            return type(self)
+        module, _, other = THEIRS[name].partition(":")
+        return getattr(import_module(f"highway_env.{module}"), other or name, type(self))
 
     def __dir__(self) -> list[str]:
         return [*dir(type(self)), *vars(self), *(name for name in dir(self._of) if name[0] != "_")]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _empty_view, (type(self),), vars(self)
+        return object.__new__, (type(self),), vars(self)  # not by `__class__`
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise only_read(name)
@@ -76,23 +91,7 @@ class _View:
         raise missing(f"the {self.kind}", name, dir(self))
 
 
-def _empty_view(kind: type[_View]) -> _View:
-    """A view without values, which ``pickle`` and ``copy`` fill in."""
-    return kind()
-
-
-def _class_of_highway_env(path: str) -> type | None:
-    """A class of highway-env by "module:name", if highway-env is imported and has it."""
-    module, _, name = path.partition(":")
-    if "highway_env" not in sys.modules:
-        return None
-    try:
-        return getattr(import_module(f"highway_env.{module}"), name, None)
-    except ImportError:  # something else of that name
-        return None
-
-
-class LaneView(_View):
+class LaneView(View):
     """A lane, as ``highway_env.road.lane.AbstractLane`` is read.
 
     A place in the world is a position (x, y) [m], or x and y.
@@ -100,10 +99,6 @@ class LaneView(_View):
 
     kind = "lane"
     _of: Lane
-
-    @property
-    def _theirs(self) -> str:  # type: ignore[override]
-        return f"road.lane:{type(self._of).__name__}"
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, LaneView) and self._of == other._of
@@ -157,11 +152,10 @@ def _at(place: tuple[Any, ...]) -> tuple[float, float]:
     return float(x), float(y)
 
 
-class Vehicle(_View):
+class Vehicle(View):
     """A vehicle of the scene, as ``highway_env.vehicle.kinematics.Vehicle`` is read."""
 
     kind = "vehicle"
-    _theirs = "vehicle.behavior:IDMVehicle"
     id: str  # its name, "ego" for the ego
     position: Floats  # centre (x, y) [m]
     speed: float  # [m/s]
@@ -246,11 +240,10 @@ class Ego(Vehicle):
     target_speeds: NDArray[np.float64]  # that it can be commanded [m/s]
 
 
-class RoadNetwork(_View):
+class RoadNetwork(View):
     """The lanes, as ``highway_env.road.road.RoadNetwork`` is asked for them; `road` has the rest."""
 
     kind = "network"
-    _theirs = "road.road:RoadNetwork"
     road: Road
 
     def __repr__(self) -> str:
@@ -289,7 +282,7 @@ class RoadNetwork(_View):
         return self.road.closest_lane(float(position[0]), float(position[1]), heading)
 
 
-class RoadView(_View):
+class RoadView(View):
     """Road and traffic of a scene, as ``highway_env.road.road.Road`` is read."""
 
     kind = "road"
@@ -299,12 +292,6 @@ class RoadView(_View):
     scene: Scene  # places and speeds of all vehicles as arrays
     specs: Mapping[str, VehicleSpec]  # what vehicles were made from, by id
     neighbour_vehicles_connected_lanes: bool  # whether neighbours are looked for on the next lanes too
-
-    @property
-    def _theirs(self) -> str:  # type: ignore[override]
-        return (
-            "road.regulation:RegulatedRoad" if self.network.road.name == "intersection" else "road.road:Road"
-        )
 
     def __repr__(self) -> str:
         return repr(self.vehicles)
@@ -366,42 +353,31 @@ def _place(item: tuple[float, Vehicle | None]) -> float:
     return item[0]
 
 
-def class_of_learning_cars(kind: Kind) -> str:
-    """highway-env's class of the vehicles that take these actions, "module:name"."""
-    if not isinstance(kind, ContinuousAction):
-        return "vehicle.controller:MDPVehicle"
-    return "vehicle.dynamics:BicycleVehicle" if kind.dynamical else "vehicle.kinematics:Vehicle"
-
-
 def road_view(
     scene: Scene,
     road: Road,
     specs: Mapping[str, VehicleSpec],
-    connected: bool = False,
-    learning: tuple[Container[str], str] = ((), ""),
+    further: Container[str],
+    actions: Kind,
+    connected: bool,
     **ego: Any,
 ) -> RoadView:
-    """A scene as highway-env's road.
-
-    Args:
-        scene, road: of the environment.
-        specs: what vehicles were made from, by id.
-        connected: see `RoadView.neighbour_vehicles_connected_lanes`.
-        learning: ids of learning cars beside the ego, and highway-env's class of all of them.
-        ego: the further attributes of the ego.
-    """
+    """A scene as highway-env's road; `further`: ids of learning cars beside the ego, `ego`: its attributes alone."""
+    learning = "dynamical ego" if getattr(actions, "dynamical", False) else f"{type(actions).__name__} ego"
     positions = np.column_stack((scene.x, scene.y))
     positions.flags.writeable = False
     view = RoadView(
-        network=RoadNetwork(road=road), scene=scene, specs=specs, neighbour_vehicles_connected_lanes=connected
+        _theirs=road.name if road.name in THEIRS else "",
+        network=RoadNetwork(road=road),
+        scene=scene,
+        specs=specs,
+        neighbour_vehicles_connected_lanes=connected,
     )
     vehicles = []
     for row, name in enumerate(scene.ids):
         length, width = scene.size(name)
         spec = specs.get(name)
-        make, further = (Vehicle, {"target_speed": spec.target_speed} if spec else {}) if row else (Ego, ego)
-        if row == 0 or name in learning[0]:
-            further = {**further, "_theirs": learning[1]}
+        make, more = (Vehicle, {"target_speed": spec.target_speed} if spec else {}) if row else (Ego, ego)
         vehicles.append(
             make(
                 id=name,
@@ -412,38 +388,9 @@ def road_view(
                 LENGTH=length,
                 WIDTH=width,
                 road=view,
-                **further,
+                _theirs=learning if row == 0 or name in further else "",
+                **more,
             )
         )
     vars(view)["vehicles"] = _Vehicles(vehicles)
     return view
-
-
-class ActionType(_View):
-    """The actions, as ``highway_env.envs.common.action`` has them: of meta-actions these attributes."""
-
-    kind = "action type"
-    _of: Kind
-
-    @property
-    def _theirs(self) -> str:  # type: ignore[override]
-        return f"envs.common.action:{type(self._of).__name__}"
-
-    space: Callable[[], gym.Space[Any]]
-    actions: dict[int, str]  # names by index
-    actions_indexes: dict[str, int]  # indices by name
-    target_speeds: NDArray[np.float64]  # [m/s]
-    get_available_actions: Callable[[], list[int]]  # `ReadAsHighwayEnv.get_available_actions`
-
-
-class Observed(_View):
-    """The type of observation, as ``highway_env.envs.common.observation`` has it."""
-
-    kind = "observation type"
-
-    @property
-    def _theirs(self) -> str:  # type: ignore[override]
-        return f"envs.common.observation:{type(self._of).__name__.removesuffix('s')}Observation"
-
-    space: Callable[[], gym.Space[Any]]
-    observe: Callable[[], NDArray[np.float32]]  # the present observation

@@ -43,7 +43,7 @@ def lane(edge: str, number: int = 0) -> LaneIndex:
 
 def is_file(name: str) -> bool:
     """Whether the name of a road is that of a file of SUMO's."""
-    return name.endswith((".xml", ".xml.gz"))
+    return os.path.isabs(name) or name.endswith((".xml", ".xml.gz"))
 
 
 def network(net_file: str | Path) -> Network:

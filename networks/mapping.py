@@ -215,7 +215,9 @@ def read_net(net_file: Path) -> Any:
     # sumolib takes 0.1 s to load, which only processes that run SUMO have to wait for
     from sumolib.net import readNet
 
-    return readNet(str(net_file), withInternal=True)
+    name = str(net_file)
+    with net_file.open("rb") as opened:  # sumolib fails at names that are no text, as umlauts in the locale C
+        return readNet(name if name.isprintable() else f"/dev/fd/{opened.fileno()}", withInternal=True)
 
 
 def sumo_lanes_of(net: Any) -> dict[str, SumoLane]:

@@ -24,6 +24,7 @@ from sumo_env.sumo.world import GONE, SumoSimulator
 from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events
 from sumo_env.traffic.scenario import Scenario, SumoTraffic
+from sumo_env.traffic.sumo_files import temporary_folder
 
 # Classes whose drivers risk changes: those of roads, but bicycles.
 RISKY_CLASSES = {
@@ -75,7 +76,7 @@ class FileSimulator(SumoSimulator):
                 folder.mkdir()
                 return folder
         if self._scratch is None:
-            self._scratch = tempfile.TemporaryDirectory(prefix="sumo_env-")
+            self._scratch = tempfile.TemporaryDirectory(prefix="sumo_env-", dir=temporary_folder())
         folder = Path(self._scratch.name)
         folder.mkdir(exist_ok=True)  # a forked process may have ended, and deleted it
         return folder

@@ -305,7 +305,7 @@ class _Worker:
     def start(cls, simulator: str, options: tuple[str, ...]) -> _Worker:
         """A new process."""
         # The worker imports what this process would import. PYTHONPATH cannot have a colon in a name.
-        path = [entry or os.getcwd() for entry in sys.path if isinstance(entry, str)]  # Python skips others
+        path = [entry for entry in sys.path if isinstance(entry, str)]  # Python skips others
         begin = f"import sys; sys.path[:] = {path!r}; from sumo_env.sumo.worker import main; main()"
         program = [link.interpreter(), "-c", begin]
         child, ours = link.start(program, [simulator, *options], {**os.environ, **SINGLE_THREAD})

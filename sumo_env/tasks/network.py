@@ -23,7 +23,14 @@ from sumo_env.traffic.drivers import LACKING
 from sumo_env.traffic.foreign import UNSORTED, check_files
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
-from sumo_env.traffic.sumo_files import configuration, is_output, paths, plain_path, seconds
+from sumo_env.traffic.sumo_files import (
+    configuration,
+    is_configuration,
+    is_output,
+    paths,
+    plain_path,
+    seconds,
+)
 
 Route = Sequence[str]
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
@@ -83,7 +90,7 @@ class NetworkTask(Task):
         """See `sumo_env.env.SumoDrivingEnv`; errors are ValueErrors."""
         (file,) = paths("network", network)
         self.outputs: tuple[tuple[str, str], ...] = ()  # of the configuration, which are off
-        if file.name.endswith(".sumocfg"):
+        if is_configuration(file):
             options = configuration(file)
             self.outputs = tuple((name, value) for name, value in options.items() if is_output(name))
             options = {name: value for name, value in options.items() if not is_output(name)}

@@ -1,32 +1,39 @@
-"""The attributes that SUMO's vehicle types may have, as its own schema lists them."""
+"""What SUMO's own schemas list: attributes of vehicle types, options of configurations."""
 
 from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
 from sumo_env.config import did_you_mean
 
 PAGE = "https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_Routes.html"
-SCHEMA = "data/xsd/types/route.xsd"  # of the package sumo-data, which libsumo installs
+TYPES = "data/xsd/types"  # of the package sumo-data, which libsumo installs
 _XSD = "{http://www.w3.org/2001/XMLSchema}"
 
 
-@lru_cache(maxsize=1)
+@cache
+def schema(name: str) -> dict[str, dict[str, str]]:
+    """The types of one of SUMO's schemas: names of their attributes and elements -> types; empty without a schema."""
+    found = importlib.util.find_spec("sumo_data")
+    folder = Path(next(iter(found.submodule_search_locations or ()), "") if found else "")
+    if not (file := folder / TYPES / f"{name}.xsd").is_file():
+        return {}
+    kinds = ElementTree.parse(file).getroot().iter(f"{_XSD}complexType")
+    parts = {kind.get("name", ""): kind.iter() for kind in kinds}
+    return {
+        kind: {part.get("name", ""): part.get("type", "") for part in inner} for kind, inner in parts.items()
+    }
+
+
 def _known() -> set[str]:
     """Attributes of a vType, those of every car-following model included; empty without a schema."""
-    found = importlib.util.find_spec("sumo_data")
-    file = Path(next(iter(found.submodule_search_locations or ()), "") if found else "") / SCHEMA
-    if not file.is_file():
-        return set()
+    kinds = schema("route").items()
     return {
-        attribute.get("name", "")
-        for kind in ElementTree.parse(file).getroot().iter(f"{_XSD}complexType")
-        if (name := kind.get("name", "")) == "vTypeBaseType" or name.startswith("cf")
-        for attribute in kind.iter(f"{_XSD}attribute")
+        name for kind, names in kinds if kind == "vTypeBaseType" or kind.startswith("cf") for name in names
     }
 
 

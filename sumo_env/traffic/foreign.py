@@ -32,13 +32,13 @@ UNSORTED = (
 
 
 class Found(NamedTuple):
-    """What one file holds; of vehicles and others that depart: id, whether it is a vehicle, time [s] if it has one."""
+    """What one file holds; of those that depart: id, whether it is a vehicle, has a line, time [s] if it is known."""
 
     includes: tuple[Path, ...]
     ids: set[str]
     models: dict[str, str]
     stopping: set[str]
-    departing: list[tuple[str, bool, float | None]]
+    departing: list[tuple[str, bool, bool, float | None]]
 
 
 class Contents:
@@ -66,7 +66,7 @@ class Contents:
         self.ids |= found.ids
         self.models |= found.models
         self.stopping |= found.stopping
-        for name, is_vehicle, time in found.departing:
+        for name, is_vehicle, is_line, time in found.departing:
             if is_vehicle:
                 self._vehicles.add(name)
             if time is None:
@@ -74,7 +74,8 @@ class Contents:
             if in_order and time < latest:
                 self.left_out.append(name)
                 continue
-            latest = max(latest, time)
+            if not is_line:  # lines of public transport may all stand before the others
+                latest = max(latest, time)
             if self.first_departure is None or time < self.first_departure:
                 self.first_departure = time
 
@@ -130,7 +131,7 @@ def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
 def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> Found:
     path = Path(os.path.realpath(path))  # Path.resolve fails where links form a circle
     if not os.path.isfile(path):
-        raise ConfigError(f"{path} cannot be read: there is no such file")
+        raise ConfigError(f"there is no file {path}")
     about = path.stat()
     found = _read(path, is_network, about.st_mtime_ns, about.st_size)
     for further in filter(os.path.isfile, found.includes):  # without a word SUMO goes on without the others
@@ -208,7 +209,7 @@ class _Reader:
         if tag in DEPARTING:
             text = has.get("depart", has.get("begin", ""))
             time = seconds("depart", text) if re.fullmatch(r"[\d.:]+", text) else None
-            self._found.departing.append((name, tag in VEHICLES, time))
+            self._found.departing.append((name, tag in VEHICLES, bool(has.get("line")), time))
 
     def _other_files(self, tag: str, has: Mapping[str, str]) -> None:
         """Files that an element reads or writes."""

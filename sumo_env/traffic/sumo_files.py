@@ -14,46 +14,68 @@ import tempfile
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree import ElementTree
 
 from sumo_env.config import ConfigError
+from sumo_env.traffic.attributes import schema
 
-# Short and old names that configurations have for options that are read here.
+# Short and old names of options that are read or left out here (`sumo --print-options true` lists all).
 SYNONYMS = {
-    **{
-        "n": "net-file",
-        "net": "net-file",
-        "r": "route-files",
-        "route": "route-files",
-        "routes": "route-files",
-    },
-    **{"a": "additional-files", "additional": "additional-files", "b": "begin", "e": "end", "S": "scale"},
-    **{"l": "log", "log-file": "log", "w": "weight-files", "weights": "weight-files", "v": "verbose"},
-    **{"ndump": "netstate-dump", "netstate": "netstate-dump", "person-fcd": "person-fcd-output"},
-    **{"summary": "summary-output", "tripinfo": "tripinfo-output", "personinfo": "personinfo-output"},
-    **{"vehroutes": "vehroute-output", "personroutes": "personroute-output", "X": "xml-validation"},
-    **{"device.fcd-replay.file": "device.fcd-replay.files", "m": "edgedata-files"},
-    **{"data-files": "edgedata-files"},
+    short: name
+    for name, several in {
+        "net-file": "n net",
+        "route-files": "r routes",
+        "additional-files": "a additional",
+        "weight-files": "w weights",
+        "device.fcd-replay.files": "device.fcd-replay.file",
+        "begin": "b",
+        "end": "e",
+        "seed": "srand",
+        "random": "abs-rand",
+        "route-steps": "s",
+        "device.rerouting.threads": "routing-threads",
+        "no-warnings": "W suppress-warnings",
+        "duration-log.disable": "no-duration-log",
+        "duration-log.statistics": "t",
+        "verbose": "v",
+        "version": "V",
+        "help": "?",
+        "xml-validation": "X",
+        "configuration-file": "c configuration",
+        "save-configuration": "C",
+        "log": "l log-file",
+        "netstate-dump": "ndump netstate netstate-output",
+        "summary-output": "summary",
+        "statistic-output": "statistics-output",
+        "tripinfo-output": "tripinfo",
+        "vehroute-output": "vehroutes",
+        "personinfo-output": "personinfo",
+        "personroute-output": "personroutes",
+        "person-fcd-output": "person-fcd",
+        "gui-settings-file": "g",
+        "edgedata-files": "m data-files",
+        "alternative-net-file": "N",
+        "breakpoints": "B",
+        "delay": "d",
+        "demo": "D",
+        "disable-textures": "T",
+        "game": "G",
+        "quit-on-end": "Q",
+        "start": "S",
+    }.items()
+    for short in several.split()
 }
-INPUTS = (
-    "net-file",
-    "route-files",
-    "additional-files",
-    "weight-files",
-    "load-state",
-    "device.fcd-replay.files",
-    "edgedata-files",
-)
-# Of a configuration: what belongs to sumo-gui, to a server, or to the episode; and what ends SUMO at once, or lets it
-# read schemas of the network and document types whose entities never end.
-LEFT_OUT = (
-    *("end", "seed", "random", "remote-port", "num-clients", "start", "quit-on-end", "verbose"),
-    *("duration-log.statistics", "print-options", "output-prefix", "configuration-file"),
-    *("configuration", "c", "help", "version", "V", "save-configuration", "save-config", "C"),
-    *("save-template", "save-schema", "save-commented", "save-template.commented", "xml-validation"),
-    *("xml-validation.net", "xml-validation.routes"),
-)
+INPUTS = ("net-file", "route-files", "additional-files")  # that are looked into
+# Of a configuration: what belongs to a server or to the episode; threads, which copies do not have; what ends SUMO at
+# once, or lets it fetch schemas.
+LEFT_OUT = {
+    *("end", "seed", "random", "remote-port", "num-clients", "threads", "device.rerouting.threads"),
+    *("verbose", "duration-log.statistics", "print-options", "output-prefix", "help", "version"),
+    *("configuration-file", "xml-validation", "xml-validation.net", "xml-validation.routes"),
+}
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
+LOGS |= {"pedestrian.jupedsim.wkt", "pedestrian.jupedsim.py"}
 
 
 def is_output(option: str) -> bool:
@@ -61,8 +83,22 @@ def is_output(option: str) -> bool:
     return (option.endswith("output") and option != "human-readable-output") or option in LOGS
 
 
+def is_configuration(file: Path) -> bool:
+    """Whether a file is a configuration of SUMO, by its first element."""
+    is_named_so = file.name.lower().endswith(".sumocfg")
+    try:
+        with file.open("rb") as opened:
+            _, root = next(ElementTree.iterparse(opened, ("start",)))
+    except (OSError, LookupError, ValueError, ElementTree.ParseError):
+        return is_named_so  # what is wrong is said where it is read
+    return is_named_so or root.tag.lower().endswith("configuration")
+
+
 def configuration(file: Path) -> dict[str, str]:
-    """The options of a .sumocfg, with the paths of its input files made absolute.
+    """What a configuration says, as options of SUMO with absolute names of files.
+
+    SUMO's schema says which options name files, and which belong to sumo-gui. Options of the window and those that are
+    LEFT_OUT are not among them. ``sumo -c`` is no substitute: it cannot be told to write no outputs.
 
     Raises:
         ConfigError: the file cannot be read, is no configuration with a network, or asks for mesoscopic traffic.
@@ -71,28 +107,35 @@ def configuration(file: Path) -> dict[str, str]:
         root = ElementTree.parse(file).getroot()
     except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
         raise ConfigError(f"{file} cannot be read: {error}") from error
+    kinds = schema("sumoConfigurationType")
+    of_window = kinds.get("sumogui_onlyTopicType", {})
     found: dict[str, str] = {}
-    for section in root:
-        if section.tag == "gui_only":
+    for item in root.iter():
+        name = SYNONYMS.get(item.tag, item.tag)
+        value = item.get("value", item.get("v", item.text or "")).strip()
+        value = re.sub(r"\$\{(\w*)\}", lambda variable: os.environ.get(variable[1], ""), value)
+        if len(item) or not value or name in LEFT_OUT or name in of_window or name.startswith("save-"):
             continue
-        for item in (section, *section):
-            value = item.get("value", item.get("v"))
-            if value is not None:
-                name = SYNONYMS.get(item.tag, item.tag)
-                if found.setdefault(name, value) != value:  # SUMO refuses it as well
-                    raise ConfigError(
-                        f"{file}: the option {name!r} is given twice: {found[name]!r} and {value!r}"
-                    )
-    for name in set(found).intersection(INPUTS):
-        files = [file.parent / part.strip() for part in found[name].split(",") if part.strip()]
-        found[name] = ",".join(map(str, paths(f"{file}: {name}", files)))
+        if found.setdefault(name, value) != value:  # SUMO refuses it as well
+            raise ConfigError(f"{file}: the option {name!r} is given twice: {found[name]!r} and {value!r}")
+    files = {name for names in kinds.values() for name, kind in names.items() if kind == "fileOptionType"}
+    for name in (files | {*INPUTS}) & found.keys():
+        if not is_output(name):
+            several = (plain_path(_beside(file, part)) for part in found[name].split(",") if part.strip())
+            found[name] = ",".join(map(str, several))
     if "net-file" not in found:
         raise ConfigError(
             f"{file} is no configuration of SUMO with a network: it has no <net-file value=.../>"
         )
     if found.get("mesosim", "false") not in ("false", "0", "no", "off"):
         raise ConfigError(f"{file}: with 'mesosim' SUMO moves queues and no single cars: take the option out")
-    return {name: value for name, value in found.items() if name not in LEFT_OUT}
+    return found
+
+
+def _beside(configuration: Path, name: str) -> Path:
+    """A file that a configuration names, in UTF-8 and perhaps with characters as %20, whatever the locale is."""
+    decoded = os.fsdecode(unquote(name.strip()).encode())
+    return Path(os.path.abspath(configuration.parent / os.path.expanduser(decoded)))
 
 
 def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ...]:
@@ -102,7 +145,7 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
         ConfigError: one of them does not exist.
     """
     several = [given] if isinstance(given, str | Path) else list(given)
-    found = tuple(Path(os.path.realpath(path)) for path in several)
+    found = tuple(Path(os.path.abspath(path)) for path in several)
     for path in found:
         if not os.path.isfile(path):  # also where the name is longer than any
             raise ConfigError(f"{name}: there is no file {path}")
@@ -111,7 +154,7 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
 
 
 def plain_path(path: Path) -> Path:
-    """A path to a file that SUMO understands, which takes a comma as the end of a name, and ``${...}`` as a variable.
+    """A path to a file that SUMO understands: to it a comma ends a name, and ``${...}`` is a variable.
 
     Raises:
         ConfigError: there is none, because all folders for temporary files have such names.
@@ -134,7 +177,8 @@ def _linked(path: Path, process: int) -> Path:
 
 
 def _is_plain(path: str | Path) -> bool:
-    return "," not in str(path) and "${" not in str(path)
+    name = str(path)
+    return name.isprintable() and "," not in name and "${" not in name  # in the locale C umlauts are no text
 
 
 def temporary_folder() -> str:
@@ -143,7 +187,7 @@ def temporary_folder() -> str:
     Raises:
         ConfigError: there is none.
     """
-    folders = (tempfile.gettempdir(), "/tmp", "/var/tmp", os.getcwd())
+    folders = (tempfile.gettempdir(), "/tmp", "/var/tmp")
     for folder in folders:
         if _is_plain(folder) and os.access(folder, os.W_OK):
             return folder

@@ -82,7 +82,7 @@ def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> 
     assert python("-c", odd + DRIVE).splitlines() == expected
 
 
-@pytest.mark.parametrize("executable", [None, "", "/bin/no-python"])
+@pytest.mark.parametrize("executable", [None, "", "/bin/no-python", "/bin/true"])
 def test_a_program_is_found_beside_the_library(executable: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     known = link.interpreter()
     monkeypatch.setattr(sys, "executable", executable)

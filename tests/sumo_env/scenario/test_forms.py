@@ -1,0 +1,294 @@
+"""Forms of configurations and files that people have: each drives as ``sumo`` does, or better where ``sumo`` fails."""
+
+from __future__ import annotations
+
+import gzip
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from sumo_env.env import SumoDrivingEnv
+from tests.processes import python
+from tests.sumo_env.plans import SUMO, Rows, floating_car_data, grid, needs_sumo
+from tests.sumo_env.scenario.test_oracle import differences, driven
+
+pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
+SECONDS = 12
+EGO = '<trip id="ego" depart="0" from="A0A1" to="B1B0"/>'
+ROUTES = f'{EGO}<flow id="f" begin="0" end="99" probability="0.4" from="A0A1" to="B1B0"/>'
+ADDITIONAL = '<vType id="DEFAULT_VEHTYPE" tau="1.3"/>'
+TEXT = """<{root}>
+<input><net-file value="{net}"/><route-files value="{routes}"/><additional-files value="{additional}"/></input>
+<time><step-length value="1"/></time>{more}
+</{root}>"""
+USUAL = {
+    "root": "configuration",
+    "net": "n.net.xml",
+    "routes": "r.rou.xml",
+    "additional": "a.add.xml",
+    "more": "",
+}
+Change = Callable[[str], str]
+
+
+def says(**parts: str) -> Change:
+    """The configuration with other parts of TEXT."""
+    return lambda _: TEXT.format(**{**USUAL, **parts})
+
+
+def option(name: str, value: object, section: str = "processing") -> Change:
+    """The configuration with an option more."""
+    return says(more=f'<{section}><{name} value="{value}"/></{section}>')
+
+
+def without(*words: str) -> Change:
+    """The configuration without these words; pairs "old => new" are replaced."""
+
+    def change(text: str) -> str:
+        for word in words:
+            old, _, new = word.partition(" => ")
+            assert old in text
+            text = text.replace(old, new)
+        return text
+
+    return change
+
+
+# What a form changes: the configuration's text, its name, names of the files ("n", "r", "a") and their contents.
+CONFIGURATIONS: dict[str, Change] = {
+    "as usual": says(),
+    "root of SUMO's own saving": says(root="sumoConfiguration"),
+    "short attributes": without("net-file value => net-file v"),
+    "text in place of an attribute": without(
+        '<net-file value="n.net.xml"/> => <net-file>n.net.xml</net-file>'
+    ),
+    "synonyms": without("net-file => n", "route-files => routes", "additional-files => additional"),
+    "no sections": without("<input>", "</input>", "<time>", "</time>"),
+    "one section for all": without("</input>\n<time>", "</time> => </input>"),
+    "a list with a space": says(routes="r.rou.xml, more.rou.xml"),
+    "nothing for a value": option("weight-files", "", "input"),
+    "settings of the window among the inputs": option("gui-settings-file", "nobody.xml", "input"),
+    "settings of the window in the report": option("gui-settings-file", "nobody.xml", "report"),
+    "settings of the window in their place": option("gui-settings-file", "nobody.xml", "gui_only"),
+    "a short name of the window's": option("g", "nobody.xml", "input"),
+    "breakpoints": option("breakpoints", "3", "report"),
+    "start": option("start", "true", "time"),
+    "a selection": option("selection-file", "nobody.txt", "input"),
+    "end": option("end", "3", "time"),
+    "a seed": option("seed", "3", "random_number"),
+    "random": option("random", "true", "random_number"),
+    "words": option("verbose", "true", "report"),
+    "a port": option("remote-port", "8813", "traci_server"),
+    "a port by its old section": option("remote-port", "8813", "input"),
+    "threads": option("threads", "2"),
+    "threads of routing": option("device.rerouting.threads", "2", "routing"),
+    "a schema": option("xml-validation", "auto", "report"),
+    "trips": option("tripinfo-output", "out.xml", "output"),
+    "places": option("fcd-output", "out.fcd.xml", "output"),
+    "a prefix": option("output-prefix", "x-", "output"),
+    "an output into no folder": option("summary-output", "nowhere/out.xml", "output"),
+    "a log": option("log", "log.txt", "report"),
+    "states": option("save-state.times", "3", "output"),
+    "the configuration saved": option("save-configuration", "out.cfg", "input"),
+    "twice the traffic": option("scale", "2"),
+    "begin": option("begin", "0", "time"),
+    "half a second": without('step-length value="1 => step-length value="0.5'),
+    "a time with colons": option("begin", "0:00:00", "time"),
+    "ballistic": option("step-method.ballistic", "true"),
+    "sublanes": option("lateral-resolution", "0.8"),
+    "lane changes that take time": option("lanechange.duration", "2"),
+    "no noise": option("default.speeddev", "0"),
+    "teleports": option("time-to-teleport", "3"),
+    "no lanes inside": option("no-internal-links", "true"),
+    "all routes at once": option("route-steps", "0", "input"),
+    "who cannot come goes": option("max-depart-delay", "1"),
+    "rerouting": option("device.rerouting.probability", "1", "routing"),
+}
+NAMES: dict[str, tuple[dict[str, str], Change]] = {  # other names of files, the configuration's own is "c"
+    "a space": ({"n": "a b.net.xml"}, says(net="a b.net.xml")),
+    "a space as %20": ({"n": "a b.net.xml"}, says(net="a%20b.net.xml")),
+    "a comma as %2C": ({"n": "a,b.net.xml"}, says(net="a%2Cb.net.xml")),
+    "a per cent": ({"n": "100%.net.xml"}, says(net="100%25.net.xml")),
+    "a variable": ({"n": "grid.net.xml"}, says(net="${SUMO_ENV_NAME}.net.xml")),
+    "a home": ({"n": "home/n.net.xml"}, says(net="~/n.net.xml")),
+    "the folder above": ({"n": "../n.net.xml"}, says(net="../n.net.xml")),
+    "umlauts": ({"r": "größe.rou.xml"}, says(routes="größe.rou.xml")),
+    "no known ending": ({"n": "town.net", "r": "town.demand"}, says(net="town.net", routes="town.demand")),
+    "two endings": ({"c": "t.sumo.cfg"}, says()),
+    "an ending of XML": ({"c": "config.xml"}, says()),
+    "capitals": ({"c": "T.SUMOCFG"}, says()),
+    "no ending": ({"c": "town"}, says()),
+    "a comma": ({"c": "one, two.sumocfg"}, says()),
+    "a variable in the name": ({"c": "${HOME}.sumocfg"}, says()),
+    "per cent in the name": ({"c": "a%2Cb.sumocfg"}, says()),
+    "all in a folder": (
+        {"c": "x, ${HOME}%20ü/c.sumocfg"},
+        says(net="../n.net.xml", routes="../r.rou.xml", additional="../a.add.xml"),
+    ),
+}
+CONTENTS: dict[str, dict[str, str]] = {  # of routes ("r") and additional files ("a")
+    "an end that never comes": {"r": ROUTES.replace('end="99"', 'end="1e10"')},
+    "an end of ten digits": {"r": ROUTES.replace('end="99"', 'end="9999999999"')},
+    "an end of days": {"r": ROUTES.replace('end="99"', 'end="1:00:00:00"')},
+    "no limit to gains": {"a": '<vType id="DEFAULT_VEHTYPE" lcSpeedGain="inf" lcStrategic="1e10"/>'},
+    "a fast type": {"a": '<vType id="DEFAULT_VEHTYPE" maxSpeed="10000"/>'},
+    "a large gap": {"a": '<vType id="DEFAULT_VEHTYPE" minGap="2000"/>'},
+    "a polygon nowhere": {"a": '<poly id="p" shape="nan,nan 1e12,0"/>'},
+    "a class of nobody": {"r": f'<vType id="t" vClass="unknown"/><vType id="u" vClass=""/>{ROUTES}'},
+    "a hundred a second": {
+        "r": f'{EGO}<flow id="g" begin="0" end="3" period="0.006" from="A0A1" to="B1B0"/>'
+    },
+    "lines that are not sorted": {
+        "r": f'<flow id="a" line="1" begin="6" end="60" period="30" from="A0A1" to="A1B1"/>'
+        f'<flow id="b" line="2" begin="2" end="60" period="30" from="A0A1" to="A1B1"/>{EGO}'
+    },
+    "trips that are not sorted": {
+        "r": f'{EGO}<trip id="late" depart="5" from="A0A1" to="B1B0"/>{ROUTES.replace("ego", "e")}'
+    },
+    "people": {"r": f'{ROUTES}<person id="p" depart="1"><walk from="A0A1" to="A1B1"/></person>'},
+    "no file of what is included": {"r": f'{ROUTES}<include href="nobody.xml"/>'},
+}
+BETTER = {  # which ``sumo`` does not drive, or not from here
+    *("settings of the window among the inputs", "settings of the window in the report", "a selection"),
+    *("settings of the window in their place", "a short name of the window's", "the configuration saved"),
+    *("an output into no folder", "nothing for a value", "a port", "a port by its old section"),
+}
+
+
+@pytest.fixture(scope="module")
+def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return grid(tmp_path_factory.mktemp("net"), "--grid.number=2", "--grid.length=100", "-L=2")
+
+
+def written(folder: Path, net: Path, text: str, names: dict[str, str], contents: dict[str, str]) -> Path:
+    """The configuration of a form, with its files beside it."""
+    names = {"c": "c.sumocfg", "n": "n.net.xml", "r": "r.rou.xml", "a": "a.add.xml", **names}
+    parts = {
+        "c": text,
+        "n": net.read_text(),
+        "r": f"<routes>{contents.get('r', ROUTES)}</routes>",
+        "a": f"<additional>{contents.get('a', ADDITIONAL)}</additional>",
+    }
+    (folder / "more.rou.xml").write_text("<routes/>")
+    for part, name in names.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(parts[part])
+    return folder / names["c"]
+
+
+def plain(config: Path) -> Rows:
+    """What ``sumo`` does with a configuration."""
+    out = config.parent / "plain.fcd.xml"
+    command = [SUMO, "-c", config, "--seed=7", "--random=false", "--fcd-output", out]
+    command += [f"--end={SECONDS + 1}", "--precision=6", "--output-prefix="]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = floating_car_data(out)
+    return {time: {name: car for name, car in cars.items() if "lane" in car} for time, cars in rows.items()}
+
+
+@pytest.fixture(scope="module")
+def usual(net: Path, tmp_path_factory: pytest.TempPathFactory) -> Rows:
+    """What ``sumo`` does with the usual configuration."""
+    return plain(written(tmp_path_factory.mktemp("usual"), net, says()(""), {}, {}))
+
+
+def assert_drives(config: Path, rows: Rows) -> None:
+    """That every vehicle is where ``sumo`` has it."""
+    env = SumoDrivingEnv(config, ego_vehicle="ego", config={"duration": 99})
+    try:
+        env.reset(seed=7)
+        scenes = driven(env, SECONDS)
+        step = 1.0 / env.unwrapped.config["simulation_frequency"]
+    finally:
+        env.close()
+    assert len(scenes) > 8 and differences(scenes, rows, step) == []
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_configurations(name: str, net: Path, usual: Rows, tmp_path: Path) -> None:
+    config = written(tmp_path, net, CONFIGURATIONS[name](says()("")), {}, {})
+    assert_drives(config, usual if name in BETTER else plain(config))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names(name: str, net: Path, usual: Rows, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two of them, with a comma or a variable in the configuration's own name, ``sumo`` cannot open."""
+    monkeypatch.setenv("SUMO_ENV_NAME", "grid")
+    monkeypatch.setenv("HOME", str(tmp_path / "in" / "home"))
+    names, change = NAMES[name]
+    (tmp_path / "in").mkdir()
+    assert_drives(written(tmp_path / "in", net, change(""), names, {}), usual)
+
+
+@pytest.mark.parametrize("name", CONTENTS)
+def test_contents(name: str, net: Path, tmp_path: Path) -> None:
+    config = written(tmp_path, net, says()(""), {}, CONTENTS[name])
+    assert_drives(config, plain(config))
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-8-sig", "utf-16"])
+def test_encodings(encoding: str, net: Path, usual: Rows, tmp_path: Path) -> None:
+    config = written(tmp_path, net, says()(""), {"r": "grün.rou.xml"}, {})
+    declared = f'<?xml version="1.0" encoding="{encoding.removesuffix("-sig")}"?>'
+    config.write_text(declared + says(routes="grün.rou.xml")(""), encoding=encoding)
+    assert_drives(config, usual)
+
+
+def test_a_network_of_sumo_1_22(net: Path, usual: Rows, tmp_path: Path) -> None:
+    """netconvert wrote the number 0 for two lanes within a junction."""
+    text = net.read_text()
+    number = re.search(r'id=":[AB][01]_\d_1" index="1"', text)
+    assert number is not None
+    old = tmp_path / "old.net.xml"
+    old.write_text(text.replace(number[0], number[0].replace('index="1"', 'index="0"')))
+    assert_drives(written(tmp_path, old, says()(""), {}, {}), usual)
+
+
+def test_packed_files(net: Path, usual: Rows, tmp_path: Path) -> None:
+    text = says(net="n.net.xml.gz", routes="r.rou.xml.gz")("")
+    config = written(tmp_path, net, text, {}, {})
+    for name in ("n.net.xml", "r.rou.xml"):
+        (tmp_path / f"{name}.gz").write_bytes(gzip.compress((tmp_path / name).read_bytes()))
+        (tmp_path / name).unlink()
+    assert_drives(config, usual)
+
+
+def test_a_link_to_a_configuration(net: Path, usual: Rows, tmp_path: Path) -> None:
+    """SUMO looks for its files beside the link."""
+    config = written(tmp_path, net, says()(""), {}, {})
+    (tmp_path / "elsewhere").mkdir()
+    config.rename(tmp_path / "elsewhere" / "c.sumocfg")
+    config.symlink_to("elsewhere/c.sumocfg")
+    assert_drives(config, usual)
+
+
+ODD = """
+import os, sys
+os.chdir(sys.argv[1])
+os.rmdir(sys.argv[1])
+import libsumo
+from sumo_env.env import SumoDrivingEnv
+for _ in range(2):  # the second one is in a worker
+    env = SumoDrivingEnv(os.fsdecode(sys.argv[2].encode("utf-8", "surrogateescape")), ego_vehicle="ego")
+    env.reset(seed=7)
+    print(env.step(1)[0].ravel()[:5])
+"""
+
+
+def test_odd_places(net: Path, tmp_path: Path) -> None:
+    """A working folder that is deleted, the locale C, temporary files in a folder with a variable in its name."""
+    for name in ("gone", "${HOME}, ü"):
+        (tmp_path / name).mkdir()
+    config = written(
+        tmp_path, net, says(net="grün.net.xml")(""), {"c": "größe/c.cfg", "n": "größe/grün.net.xml"}, {}
+    )
+    for name in ("r.rou.xml", "a.add.xml"):
+        (tmp_path / name).rename(config.parent / name)
+    plain_locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "TMPDIR": str(tmp_path / "${HOME}, ü")}
+    first, second = python("-c", ODD, str(tmp_path / "gone"), str(config), **plain_locale).splitlines()
+    assert first == second
+    assert list((tmp_path / "${HOME}, ü").iterdir()) == []

@@ -76,8 +76,10 @@ def interpreter() -> str:
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     chosen, usual = os.fsdecode(get_executable() or ""), os.path.join(sys.exec_prefix, "bin", version)
     own = sys.executable or ""
-    embedded = own and "python" not in os.path.basename(own)  # then `own` is the program around Python
-    for program in (chosen, own, usual) if not embedded or chosen not in ("", own) else (usual, own):
+    programs = [chosen, own, usual]
+    if chosen in ("", own) and "python" not in os.path.basename(own):
+        programs.reverse()  # `own` is a program in which Python is embedded
+    for program in programs:
         if os.access(program, os.X_OK):
             return program
     raise SimulatorError(

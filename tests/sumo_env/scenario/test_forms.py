@@ -182,7 +182,7 @@ def written(folder: Path, net: Path, text: str, names: dict[str, str], contents:
 def plain(config: Path) -> Rows:
     """What ``sumo`` does with a configuration."""
     out = config.parent / "plain.fcd.xml"
-    command = [SUMO, "-c", config, "--seed=7", "--random=false", "--fcd-output", out]
+    command: list[str | Path] = [SUMO, "-c", config, "--seed=7", "--random=false", "--fcd-output", out]
     command += [f"--end={SECONDS + 1}", "--precision=6", "--output-prefix="]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -202,7 +202,7 @@ def assert_drives(config: Path, rows: Rows) -> None:
     try:
         env.reset(seed=7)
         scenes = driven(env, SECONDS)
-        step = 1.0 / env.unwrapped.config["simulation_frequency"]
+        step = 1.0 / env.config["simulation_frequency"]
     finally:
         env.close()
     assert len(scenes) > 8 and differences(scenes, rows, step) == []

@@ -15,6 +15,7 @@ from sumo_env.networks.mapping import Network
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.vehicle import Vehicle
+from sumo_env.traffic.risk import CUT_IN_GAP
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
@@ -81,6 +82,8 @@ class Ego:
         start, end, place = self._network.indices[lane]
         if not self.vehicle.may_change_lane():
             self.target_lane = (*self.target_lane[:2], place) if self._road.oncoming else (start, end, place)
+            if self._road.oncoming and place == 0 and not self.vehicle.has_lanes:
+                self._come_back()
             return
         if lane.startswith(":"):
             return
@@ -92,6 +95,21 @@ class Ego:
             self._session.vehicle.changeLaneRelative(self._name, 1 if target == 0 else -1, 0.0)
         elif count == self._road.count(*self.target_lane[:2]):
             self._session.vehicle.changeLane(self._name, self._network.sumo_index((start, end, target)), 0.0)
+
+    def _come_back(self) -> None:
+        """Leave the lane of oncoming traffic as soon as nobody on the own lane would have to brake hard for it."""
+        session, of, name = self._session, self._session.vehicle, self._name
+        if session.changes_lane(name):
+            return
+        own = self._network.lanes[(*self.target_lane[:2], 1)].id
+        there = [other for other in session.vehicles() if of.getLaneID(other) == own]
+        (x, _, speed, _), *others = session.read((name, *there)).values()
+        for other, (at, _, its_speed, _) in zip(there, others, strict=True):
+            behind, closing = (name, speed - its_speed) if at > x else (other, its_speed - speed)
+            needed = max(closing, 0.0) ** 2 / (2.0 * of.getDecel(behind))
+            if abs(at - x) - session.half(name) - session.half(other) < CUT_IN_GAP + needed:
+                return
+        of.changeLaneRelative(name, -1, 0.0)
 
 
 @lru_cache(maxsize=32)

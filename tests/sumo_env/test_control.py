@@ -219,6 +219,22 @@ def test_a_lane_change_that_sumo_has_begun_ends_where_sumo_was_going() -> None:
         assert env.scene.y[0] == pytest.approx(y + 4.0 * side, abs=0.1)
 
 
+def test_sumo_brings_the_ego_back_from_the_lane_of_oncoming_traffic() -> None:
+    """As soon as nobody has to brake hard for it; it drives on without a crash."""
+    env = DrivingEnv("two-way", {"duration": 20})
+    for seed in range(10):
+        env.reset(seed=seed)
+        env.step(IDLE)
+        env.step(LEFT)
+        assert env.scene.y[0] < 1.0
+        env.hand_over()
+        over = late = False
+        while not (over or late):
+            _, _, over, late, info = env.step(IDLE)
+        assert info["ending"] == "time" and env.scene.y[0] == pytest.approx(4.0, abs=0.1)
+    env.close()
+
+
 def test_a_wrapper_hands_over_by_a_rule_and_reset_takes_back(net: Path) -> None:
     env = HandOver(straight(net), lambda env: env.scene.place.lane[0] == "ab:from")
     inner: Any = env.unwrapped

@@ -111,8 +111,9 @@ class Cars:
         by_id: Commands = {ids[number]: command for number, command in commands.items()}
         self.first.scene = self._scene
         present = self._scene.ids[: self._scene.cars]
-        crashed = [name for name in present if self.envs[self.numbers[name]].ego_state.crashed]
-        step = self.first._drive({**by_id, **dict.fromkeys(crashed if self._removes_crashed else ())})
+        left = [name for name in present if name not in by_id] if self._removes_crashed else []
+        crashed = [name for name in left if self.envs[self.numbers[name]].ego_state.crashed]
+        step = self.first._drive({**by_id, **dict.fromkeys(crashed)})
         self.steps, self._scene = self.steps + 1, step.scene
         results = {}
         for number, command in commands.items():

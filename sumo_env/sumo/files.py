@@ -175,7 +175,9 @@ class FileSimulator(SumoSimulator):
                 car.ego.ended = "removed"
             elif name not in self._road:
                 stops = not {name, name.rpartition(".")[0]}.isdisjoint(self._traffic.stopping)
-                car.ego.ended = "arrived" if car.ego.was_at_its_end(self._dt, stops) else "removed"
+                way = car.ego.last_way(self._dt, stops)
+                car.ego.ended = "removed" if way is None else "arrived"
+                car.distance += way or 0.0
         return reported
 
     # -- risk ----------------------------------------------------------------------------------------------

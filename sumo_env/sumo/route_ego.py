@@ -214,13 +214,17 @@ class RouteEgo:
             present = driven
         return present + sum(rest)
 
-    def was_at_its_end(self, dt: float, anywhere: bool) -> bool:
-        """Whether the ego, which has left the road, could get over the rest of its route within the step of `dt` [s].
+    def last_way(self, dt: float, anywhere: bool) -> float | None:
+        """How far it was to the end of its route for the ego, which has left the road [m].
 
-        anywhere: whether it may have arrived anywhere on its last edge.
+        None where that is further than it could get within the step of `dt` [s]: then it has not arrived. anywhere:
+        whether it may have arrived anywhere on its last edge.
         """
-        rest = sum(map(self._edge_length, self.ahead[1:])) if anywhere else self._rest(self._position)
-        return rest <= (self.speed + self._accel * dt) * dt + REACHED
+        within = (self.speed + self._accel * dt) * dt + REACHED
+        if anywhere:
+            return self.speed * dt if sum(map(self._edge_length, self.ahead[1:])) <= within else None
+        rest = self._rest(self._position)
+        return rest if rest <= within else None
 
     @property
     def target_lane(self) -> LaneIndex:

@@ -11,6 +11,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import traceback
 from collections import Counter
 from itertools import combinations
 from pathlib import Path
@@ -98,7 +99,8 @@ def drive(folder: Path, seed: int) -> dict[str, Any]:
                 except SimulatorError as error:
                     found["errors"].append(str(error)[:300])
                 except Exception as error:
-                    found["wrong"].append(repr(error)[:300])
+                    trace = traceback.extract_tb(error.__traceback__)
+                    found["wrong"].append(f"{error!r} at {trace[-1].filename}, {trace[-1].lineno}")
         finally:
             env.close()
     except ConfigError as error:

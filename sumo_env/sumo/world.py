@@ -52,15 +52,21 @@ class SumoSimulator:
         self._kept: dict[str, Driver] = {}  # those of them that stay loaded
         self._pools: tuple[DriverPool, ...] = ()  # of the episode before
         self._loaded: Settings | None = None
+        self._is_whole = True  # whether the last reset or step has come to its end
         self._base: tuple[Path, float, Calibration]  # of what is loaded: network, step length, calibration
 
     # -- Simulator -----------------------------------------------------------------------------------------
 
     def reset(self, scenario: Scenario) -> Scene:
         """Place a scenario, drive its warm-up, and return the first scene."""
+        if not self._is_whole:
+            self._session.close()
+        self._is_whole = False
         for _ in range(2):  # SUMO may have been closed, or loaded with something else, behind our back
             try:
-                return self._begin(scenario)
+                scene = self._begin(scenario)
+                self._is_whole = True
+                return scene
             except self._session.errors as error:
                 self._session.forget()
                 self._check_window(error)
@@ -72,9 +78,16 @@ class SumoSimulator:
         ) from refusal
 
     def step(self, commands: Commands, trace: bool = False) -> Step:
-        """Drive one policy step."""
+        """Drive one policy step; after an error, or Ctrl-C, the episode is over."""
+        if not self._is_whole:
+            raise SimulatorError(
+                "this episode ended in the midst of a step: call reset() to begin another one"
+            )
+        self._is_whole = False
         try:
-            return self._step(commands, trace)
+            step = self._step(commands, trace)
+            self._is_whole = True
+            return step
         except self._session.errors as error:
             self._session.forget()
             self._check_window(error)

@@ -1,15 +1,23 @@
 """libsumo used behind the environment's back: an error that says so, or an episode that goes on; never a dead process.
 
-Each case runs in a process of its own, because the wrong outcome is the end of that process.
+Each misuse runs in a process of its own, because the wrong outcome is the end of that process.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.simulator import SimulatorError
+from sumo_env.sumo.session import Session
 from tests.processes import python
+from tests.sumo_env.plans import needs_sumo
+from tests.sumo_env.rollout import drive
+from tests.sumo_env.scenario import files
 
 SCRIPT = """
 import sys
@@ -84,3 +92,35 @@ def test_the_next_reset_works_whatever_was_done_to_libsumo(misuse: str, tmp_path
     said = python("-c", SCRIPT.replace("MISUSE", code), tmp_path / "state.xml")
     outcome, after = said.splitlines()[-2:]
     assert outcome in allowed and after == "as before"
+
+
+@needs_sumo
+@pytest.mark.parametrize("of_files", [False, True])
+@pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt])
+def test_an_episode_that_was_interrupted_is_over_and_the_next_one_is_as_ever(
+    tmp_path: Path, of_files: bool, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SUMO is closed and begins anew; nobody steps or loads it in the midst of a step."""
+    env: DrivingEnv = DrivingEnv("roundabout", {"risk": 1.0})
+    if of_files:
+        env = SumoDrivingEnv(
+            files.written(tmp_path / "town", "static"), ego_vehicle="ego", config={"risk": 1.0}
+        )
+    expected = np.array([seen for seen, *_ in drive(env, [1] * 8, seed=5)])
+    env.reset(seed=1)
+    env.step(1)
+    step, left = Session.step, [3]
+
+    def interrupted(session: Session) -> Any:
+        left[0] -= 1
+        if left[0] == 0:
+            raise error("in the midst of a step")
+        return step(session)
+
+    with monkeypatch.context() as patched, pytest.raises(error):
+        patched.setattr(Session, "step", interrupted)
+        env.step(1)
+    with pytest.raises(SimulatorError, match=r"reset\(\)"):
+        env.step(1)
+    np.testing.assert_array_equal([seen for seen, *_ in drive(env, [1] * 8, seed=5)], expected)
+    env.close()

@@ -49,7 +49,9 @@ class Meeting:
         self._inside: dict[str, list[tuple[str, str]]] = {}  # see `inside`
         for start, after in following.items():
             for lane in () if start.startswith(":") else after:
-                while lane.startswith(":"):  # a long way through a junction is made of several lanes
+                passed: set[str] = set()  # people on foot can go round a junction
+                while lane.startswith(":") and lane not in passed:  # a long way is made of several lanes
+                    passed.add(lane)
                     before, lane = lane, next(iter(following[lane]), "")
                     self._inside.setdefault(lane, []).append((before, _edge_of(start)))
         self._together: dict[tuple[str, str, str], float] = {}  # see `_side_by_side`

@@ -7,20 +7,23 @@ again, and gives the same bits.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 from torch import Tensor, nn
 from torch.nn import functional
 
 from agents.episodes import Episodes
 from agents.greedy import Greedy, best
-from agents.learner import NEWER, Trained, check_numbers
+from agents.learner import Trained, check_numbers
 from agents.models import Network, Standardised, flatten, network_class, unflattened
 from agents.replay import Batch, Replay
 from agents.streams import episode_seed, number, stream
@@ -54,13 +57,11 @@ class DQNConfig:
     probe_size: int = 256  # the first observations of an agent, on which its Q-values are watched
     probe_interval: int = 500  # updates between two looks at them
     device: str = "cpu"  # or "cuda"
-    # the network attention compiled by numba: the same mathematics in less than half the time, other last bits
-    by_hand: bool = field(default=False, metadata=NEWER)
+    # the network attention on the CPU is compiled by numba: torch's mathematics in half the time, other last bits
+    by_hand: bool = True
 
     def __post_init__(self) -> None:
         check_numbers(self, may_be_0=("learning_rate_final", "epsilon_final"))
-        if self.by_hand and (self.network, self.device) != ("attention", "cpu"):
-            raise ValueError("by_hand is for the network attention on the cpu")
         if self.gamma >= 1:
             raise ValueError(f"gamma must be below 1, got {self.gamma!r}")
         for name in ("tau", "learning_rate_final", "epsilon_final"):
@@ -71,6 +72,16 @@ class DQNConfig:
     def steps(self) -> int:
         """Environment steps of a training, without the end of its last episode."""
         return self.warm_up + self.steps_per_update * self.updates
+
+    @property
+    def is_by_hand(self) -> bool:
+        """Whether the update is compiled (`agents.by_hand`) and not torch's."""
+        return self.by_hand and (self.network, self.device) == ("attention", "cpu")
+
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """See `agents.learner`."""
+        return ("numba",) if self.is_by_hand else ()
 
     def epsilon(self, step: int) -> float:
         """Probability of a random action at an agent's ``step``-th environment step."""
@@ -119,10 +130,12 @@ class DQN:
         self._weights, self._target_weights = flatten(self.online), flatten(self.target)
         self._optimizer = torch.optim.Adam([self._weights], lr=config.learning_rate, fused=True)
         self._by_hand = None
-        if config.by_hand:
+        if config.is_by_hand and network is None:
             from agents.by_hand import ByHand  # needs numba
 
             self._by_hand = ByHand(self.online, self.target, self._weights, self._target_weights)
+        elif config.by_hand:
+            say_torch()
 
     def act(self, observation: np.ndarray, epsilon: float) -> int:
         """A random action with probability ``epsilon``, else the greedy one."""
@@ -195,7 +208,8 @@ class DQN:
 
     def policy(self) -> Greedy:
         """The greedy policy as it is now, on the CPU (a copy)."""
-        return greedy(self.config)(unflattened(self.online).cpu())
+        kind = greedy(self.config) if self._by_hand else Greedy
+        return kind(unflattened(self.online).cpu())
 
 
 class Training:
@@ -255,8 +269,8 @@ def train(
     """Train an agent on ``env`` for ``config.updates`` updates.
 
     It plays whole episodes until it has made ``config.warm_up`` steps and ``config.steps_per_update`` more for each
-    update of the next block, then makes these updates. Torch is set to one thread for the whole process: the order of
-    summation, hence the bits, depends on the number of threads, and processes do the parallel work.
+    update of the next block, then makes these updates. Torch and the libraries for matrices are set to one thread for
+    the whole process: the order of summation, hence the bits, depends on it, and processes do the parallel work.
 
     Args:
         env: observations are boxes of any shape, actions ``Discrete``; ``info`` may hold crashed, which
@@ -268,8 +282,9 @@ def train(
     Raises:
         ValueError: spaces that a DQN cannot handle, or an unknown network.
     """
-    torch.set_num_threads(1)
     agent = DQN(config, env.observation_space, env.action_space, seed)
+    torch.set_num_threads(1)
+    threadpool_limits(1)  # after all of them are loaded
     training = Training(agent, env)
     while (updates := agent.updates) < config.updates:
         done = min(updates + config.block, config.updates)
@@ -285,9 +300,16 @@ def train(
     return training.trained()
 
 
+@cache
+def say_torch() -> None:
+    """Say it once in a process."""
+    text = "agents: torch makes the updates; compiled ones are for the network attention on the CPU"
+    print(text, file=sys.stderr, flush=True)
+
+
 def greedy(config: DQNConfig) -> type[Greedy]:
     """The kind of policy that such a learner makes."""
-    if not config.by_hand:
+    if not config.is_by_hand:
         return Greedy
     from agents.by_hand import Compiled  # needs numba
 

@@ -1,7 +1,8 @@
 """The attention network and its gradient, written out and compiled with Numba: the mathematics of `agents.models`.
 
 The last bits differ from torch's, because sums are taken in another order. As torch's, they depend on the number of
-threads (`OMP_NUM_THREADS`). All kernels are in this file: Numba compiles again when the file of a function has changed.
+threads (of scipy's BLAS, which makes the products; `dqn.train` sets one). All kernels are in this file: Numba compiles
+again when the file of a function has changed.
 """
 
 from __future__ import annotations
@@ -14,9 +15,12 @@ import numpy as np
 
 try:
     import numba
+    import scipy.linalg.cython_blas  # noqa: F401  (numba loads it at the first product, when threads are set)
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
-        "by_hand=true is compiled with numba, which is not installed: pip install numba", name=error.name
+        f"the learner is compiled, with numba and scipy, and {error.name} is not installed: pip install numba scipy, "
+        "or set by_hand=false",
+        name=error.name,
     ) from None
 
 

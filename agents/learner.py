@@ -4,7 +4,8 @@
 FILE:NAME. `agents.stable` has learners of another library.
 
 * ``Settings``: a frozen dataclass with the properties ``steps`` (environment steps of a training) and ``updates``
-  (gradient updates). Its fields are the profile, its comments the help, `settings_of` the check: a name that it does
+  (gradient updates), and, where packages apart from numpy and torch decide the bits, ``packages`` (their names).
+  Its fields are the profile, its comments the help, `settings_of` the check: a name that it does
   not have is an error. They are plain values: a study names its cells by them, so a file is named by its SHA-256.
 * ``train(make_env, settings, seed, *, progress)``: `make_env()` gives an environment whose episodes follow
   from the training's seed, whatever `reset` is given; `make_env(n)` gymnasium's vector environment of n of them, which
@@ -25,9 +26,6 @@ import numpy as np
 
 from agents.plugins import unknown
 from agents.policies import Policy
-
-# Metadata of a setting that is newer than published cells: it enters their names where it is not its default.
-NEWER = {"newer": True}
 
 MakeEnv = Callable[..., Any]  # make_env() -> gym.Env, make_env(n) -> gym.vector.VectorEnv
 T = TypeVar("T")
@@ -93,16 +91,6 @@ def settings_of(cls: type[T], given: Mapping[str, Any], whose: str) -> T:
         if name not in known:
             raise unknown("setting", name, known, f" of {whose}")
     return cls(**given)
-
-
-def entries(settings: Any) -> dict[str, Any]:
-    """Settings as plain values by name; those that are `NEWER` only where they differ from their default."""
-    values = {field: getattr(settings, field.name) for field in dataclasses.fields(settings)}
-    return {
-        field.name: value
-        for field, value in values.items()
-        if field.metadata != NEWER or value != field.default
-    }
 
 
 def check_numbers(settings: Any, may_be_0: Sequence[str] = ()) -> None:

@@ -23,6 +23,7 @@ class DQNSettings:
     """Of Stable-Baselines3's DQN; the defaults are those of highway-env's scripts/sb3_highway_dqn.py."""
 
     algorithm: ClassVar[str] = "DQN"
+    packages: ClassVar[tuple[str, ...]] = ("stable-baselines3",)
     steps: int = 20_000  # environment steps
     hidden: int = 256  # width of the network's layers
     layers: int = 2
@@ -52,6 +53,7 @@ class PPOSettings:
     """
 
     algorithm: ClassVar[str] = "PPO"
+    packages: ClassVar[tuple[str, ...]] = ("stable-baselines3",)
     steps: int = 20_000  # environment steps, rounded up to whole rollouts of n_steps
     hidden: int = 256  # width of the network's layers
     layers: int = 2

@@ -6,10 +6,12 @@ from importlib.util import find_spec
 NEEDED = (
     "jinja2",
     "matplotlib",
+    "numba",
     "pandas",
     "pebble",
     "pyarrow",
     "scipy",
+    "threadpoolctl",
     "torch",
     "tyro",
 )  # extra [study]

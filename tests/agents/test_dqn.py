@@ -223,7 +223,6 @@ def test_epsilon_is_one_in_the_warm_up_and_then_decays_with_the_steps() -> None:
         ({"learning_rate": "fast"}, "learning_rate must be a number above 0"),
         ({"epsilon_final": 1.5}, "epsilon_final must be at most 1"),
         ({"standardise": 1}, "standardise must be true or false"),
-        ({"by_hand": True, "network": "dueling"}, "for the network attention on the cpu"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(setting: dict, message: str) -> None:

@@ -11,8 +11,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.dqn import DQNConfig
-from agents.learner import entries, settings_of
+from agents.dqn import DQNConfig, say_torch
+from agents.learner import settings_of
 from agents.learners import LEARNERS, learner
 from agents.streams import episode_seed
 from tests.agents.networks import weights
@@ -91,9 +91,13 @@ def test_a_name_that_is_no_setting_is_an_error_with_the_nearest(name: str) -> No
     assert {"steps", "updates"} <= {*dir(cls), *(field.name for field in fields(cls))}
 
 
-def test_a_setting_newer_than_published_cells_is_named_where_it_is_not_its_default() -> None:
-    assert "by_hand" not in entries(DQNConfig()) and len(entries(DQNConfig())) == len(fields(DQNConfig)) - 1
-    assert entries(DQNConfig(by_hand=True))["by_hand"] is True
+def test_a_learner_names_the_packages_that_decide_its_bits(capfd) -> None:
+    assert DQNConfig().packages == ("numba",)
+    assert DQNConfig(by_hand=False).packages == () == DQNConfig("dueling").packages
+    say_torch.cache_clear()
+    train("dqn")
+    train("dqn")
+    assert capfd.readouterr().err.count("torch makes the updates") == 1
 
 
 def test_unknown_learners_are_named(tmp_path: Path) -> None:

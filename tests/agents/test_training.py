@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from agents.dqn import DQN, DQNConfig, Training, train
 from agents.learner import Trained
@@ -43,6 +44,14 @@ def assert_equal(one: Trained, other: Trained) -> None:
     assert one.record == other.record
     for name, column in one.episodes.items():
         np.testing.assert_array_equal(column, other.episodes[name], err_msg=name)
+
+
+def test_a_training_has_one_thread() -> None:
+    """More would sum in another order. Of numba's products, too, which scipy's BLAS makes."""
+    with threadpool_limits(2):
+        train(road(), replace(SMALL, network="attention", updates=20), 0)
+        found = {library["filepath"]: library["num_threads"] for library in threadpool_info()}
+    assert set(found.values()) == {1} and any("scipy" in path for path in found)
 
 
 @pytest.mark.parametrize("steps_per_update", [1, 4])

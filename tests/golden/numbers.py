@@ -17,6 +17,7 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.study.results.store import load
 
 ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "results"
 FOLDERS = (
     "standard",
     "replica",
@@ -24,6 +25,7 @@ FOLDERS = (
     "paper-v0",
     "linear",
 )  # in numbers.parquet; the second study still grows
+PUBLISHED = (*FOLDERS, "second", "first-clock", "crash-reward", "pairs")
 FILE = Path(__file__).with_name("numbers.parquet")
 DIGITS = 12
 EFFECT = ["backend", "tested_on", "scenarios", "arm", "against", "outcome", "term"]

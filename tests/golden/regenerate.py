@@ -3,7 +3,6 @@
 python tests/golden/regenerate.py                     # everything, half a minute
 python tests/golden/regenerate.py outcomes            # some of: scenes outcomes
 python tests/golden/regenerate.py numbers             # the published numbers, when a correction was announced
-python tests/golden/regenerate.py names               # names of published cells, when there are more of them
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ from experiments.support import limit_threads
 limit_threads()
 
 from sumo_env.tasks import TASKS
-from tests.golden import names, numbers, outcomes, scenes
+from tests.golden import numbers, outcomes, scenes
 
 FOLDER = Path(__file__).resolve().parent
 WIDTH = 110
 
 
 PARTS = {"scenes": scenes.table, "outcomes": outcomes.table}  # of a task: one file each
-NAMED_ALONE = {"numbers": numbers.write, "names": names.write}
+NAMED_ALONE = {"numbers": numbers.write}
 
 
 def pretty(value: Any, indent: int = 0) -> str:

@@ -7,10 +7,10 @@ import pytest
 from experiments.analysis.analysis import analyse, stored
 from experiments.study.results.store import load
 from tests.golden import numbers
-from tests.golden.names import FOLDERS, RESULTS
+from tests.golden.numbers import PUBLISHED, RESULTS
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
+@pytest.mark.parametrize("folder", PUBLISHED)
 def test_the_published_numbers_are_the_golden_ones(folder: str) -> None:
     """Those of the folder's own analysis.json, by the same plan, and for folders that are complete the golden ones."""
     analysis, published = analyse(load(RESULTS / folder)), stored(RESULTS / folder / "analysis.json")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Annotated, Any
 
@@ -228,7 +228,7 @@ class Experiment:
         Raises ValueError for a name that there is not, or a value that makes no sense.
         """
         from agents.dqn import DQNConfig  # here: not every command needs the learner
-        from agents.learner import entries, settings_of
+        from agents.learner import settings_of
         from agents.learners import learner
         from agents.models import network_class
 
@@ -252,7 +252,7 @@ class Experiment:
         settings = settings_of(chosen.Settings, said, f"the learner {self.learner}")
         if not self._own_network and hasattr(settings, "network"):
             network_class(settings.network)
-        found = entries(settings)
+        found = asdict(settings)
         if name := learner_name(self.learner, found):
             files["learner_dynamics"] = name
         return {**found, **rules.entries(), **files}

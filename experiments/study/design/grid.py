@@ -8,7 +8,7 @@ adding tasks, levels or seeds to the grid never renames a cell that is there alr
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -90,7 +90,8 @@ class Cell:
     @property
     def versions(self) -> dict[str, Any]:
         """The versions that can change its result."""
-        return versions(self.backend, self.runs_on)
+        _, settings = (None, None) if self.kind == "baseline" else learner_of(self.key(), self.source)
+        return versions(self.backend, self.runs_on, getattr(settings, "packages", ()))
 
     @property
     def tested(self) -> Mapping[str, Any]:
@@ -235,15 +236,22 @@ def _installed(package: str) -> str:
         ) from None
 
 
-def versions(backend: str, runs_on: str | None = None) -> dict[str, Any]:
+def versions(backend: str, runs_on: str | None = None, packages: Iterable[str] = ()) -> dict[str, Any]:
     """The versions that can change the bits of a result; part of a cell's name.
 
-    runs_on: the simulator that an agent is tested on, if it is another one.
+    runs_on: the simulator that an agent is tested on, if it is another one. packages: further ones of its learner.
 
     Raises:
         UserError: a package that the cell needs is not installed.
     """
-    names = ("sumo-risky-driving", SIMULATORS[backend], SIMULATORS[runs_on or backend], "numpy", "torch")
+    names = (
+        "sumo-risky-driving",
+        SIMULATORS[backend],
+        SIMULATORS[runs_on or backend],
+        "numpy",
+        "torch",
+        *packages,
+    )
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
 
 

@@ -1,6 +1,6 @@
 """Published folders are whole, and the configurations and dynamics in their keys are today's.
 
-Their names are compared in tests/golden; that a name is the hash of a cell's key is checked whenever it is read.
+That a name is the hash of a cell's key is checked whenever it is read.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from experiments.support.errors import UserError
 from experiments.support.files import canonical_json
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
-from tests.golden.names import FOLDERS, RESULTS
+from tests.golden.numbers import PUBLISHED, RESULTS
 
 
 @cache
@@ -30,14 +30,14 @@ def cells(folder: str) -> dict[str, dict[str, Any]]:
     return Store(RESULTS / folder).records()
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
+@pytest.mark.parametrize("folder", PUBLISHED)
 def test_every_packed_table_of_a_published_folder_is_here(folder: str) -> None:
     listed = json.loads((RESULTS / folder / "packed.json").read_text())["files"]
     assert [file for file in listed if not (RESULTS / folder / file).is_file()] == []
     Store(RESULTS / folder).tables(next(iter(cells(folder))))
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
+@pytest.mark.parametrize("folder", PUBLISHED)
 def test_the_configuration_of_published_cells_is_accepted(folder: str) -> None:
     stored = {canonical_json([c["key"]["task"], c["key"]["env_config"]]) for c in cells(folder).values()}
     for task, config in map(json.loads, stored):
@@ -46,7 +46,7 @@ def test_the_configuration_of_published_cells_is_accepted(folder: str) -> None:
 
 def test_the_dynamics_of_published_cells_are_those_of_today() -> None:
     stored = set()
-    for cell in (cell for folder in FOLDERS for cell in cells(folder).values()):
+    for cell in (cell for folder in PUBLISHED for cell in cells(folder).values()):
         for key in (cell["key"], {**cell["key"], **cell["key"].get("test_on", {})}):
             stored.add((key["backend"], key["task"], key["dynamics"]))
     assert stored == {(backend, task, dynamics(backend, task)) for backend in BACKENDS for task in TASKS}

@@ -39,16 +39,30 @@ class ByHand:
         self._weights, self._target_weights = weights.detach().numpy(), target_weights.detach().numpy()
 
     def update(
-        self, batch: Batch, adam: dict[str, Tensor], gamma: float, max_norm: float, rate: float, tau: float
-    ) -> float:
-        """One update, see `DQN.update`; returns the loss. adam: its state as torch keeps it, empty in the beginning."""
+        self,
+        batch: Batch,
+        adam: dict[str, Tensor],
+        gamma: float,
+        bounds: tuple[float, float] | None,
+        max_norm: float,
+        rate: float,
+        tau: float,
+    ) -> tuple[float, int]:
+        """One update, see `DQN.update`; returns the loss, and how many goals were beyond the bounds.
+
+        adam: its state as torch keeps it, empty in the beginning. bounds: of the goals, None for none.
+        """
         observations, actions, rewards, after, terminated = (part.numpy() for part in batch)
         count = len(actions)
         rows = np.arange(count)
         # one pass of the online network over both observations
         q = self.online(np.concatenate([observations, after]))
         value = self.target(after)[rows, q[count:].argmax(1)]
-        error = q[rows, actions] - (rewards + gamma * (1 - terminated) * value)
+        goal, clipped = rewards + gamma * (1 - terminated) * value, 0
+        if bounds is not None:
+            free, goal = goal, goal.clip(*bounds)
+            clipped = int((goal != free).sum())
+        error = q[rows, actions] - goal
         gradient = np.zeros_like(q[:count])
         gradient[rows, actions] = 2 / count * error
         self.online.backward(gradient)
@@ -61,7 +75,7 @@ class ByHand:
         descend(self._weights, self._gradient, mean, square, float(adam["step"]), rate, max_norm)
         if tau:
             approach(self._target_weights, self._weights, tau)
-        return float(np.square(error).mean())
+        return float(np.square(error).mean()), clipped
 
 
 class Compiled(Greedy):

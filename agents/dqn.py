@@ -45,6 +45,7 @@ class DQNConfig:
     learning_rate_final: float = 0.0  # reached linearly at the last update
     gamma: float = 0.95  # discount a step (paper: .99)
     batch_size: int = 100  # (paper)
+    clip_goals: bool = True  # at what the rewards met so far allow at this discount, see `DQN.bounds`
     max_grad_norm: float = 10.0  # of the whole gradient (Stable-Baselines3)
     target_interval: int = 1  # updates between two moves of the target network towards the online network
     tau: float = 0.005  # how far it moves, 1 is a copy (Lillicrap et al. 2016)
@@ -102,6 +103,7 @@ class DQN:
 
     Its weights, exploration and batches depend on ``seed`` and on what it is shown, and on nothing else; torch's global
     generator is seeded for networks that draw from it. ``network``: overrides the one that the config names.
+    ``clipped``: how many goals of updates so far were beyond the bounds.
 
     Raises ValueError for a negative seed, and for spaces that a DQN cannot handle.
     """
@@ -117,7 +119,7 @@ class DQN:
         space, self.actions = _sizes(observations, actions)
         self.config = config
         self.seed = seed
-        self.updates = 0
+        self.updates = self.clipped = 0
         self.replay = Replay(config.replay_capacity, space.shape)
         self._exploration = stream(seed, "exploration")
         self._sampling = stream(seed, "replay")
@@ -159,6 +161,16 @@ class DQN:
         for network in (self.online, self.target):
             network.fit(seen)
 
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """What no discounted sum of rewards like those met so far is below or above; an episode may end at any time.
+
+        So a goal beyond is an error of the target network. Rewards that are still to be met extend the bounds before
+        they are in any batch.
+        """
+        steps = 1.0 / (1.0 - self.config.gamma)
+        return self.replay.least * steps, self.replay.most * steps
+
     def update(self) -> Tensor:
         """One gradient step on a batch from the replay, then a move of the target network.
 
@@ -171,10 +183,12 @@ class DQN:
         self.updates += 1
         tau = config.tau if self.updates % config.target_interval == 0 else 0.0
         if self._by_hand:
-            adam = self._optimizer.state[self._weights]
-            return torch.tensor(
-                self._by_hand.update(batch, adam, config.gamma, config.max_grad_norm, rate, tau)
+            adam, bounds = self._optimizer.state[self._weights], self.bounds if config.clip_goals else None
+            loss, clipped = self._by_hand.update(
+                batch, adam, config.gamma, bounds, config.max_grad_norm, rate, tau
             )
+            self.clipped += clipped
+            return torch.tensor(loss)
         return self._update(batch, rate, tau)
 
     def _update(self, batch: Batch, rate: float, tau: float) -> Tensor:
@@ -198,6 +212,9 @@ class DQN:
             chosen = self.online(batch.next_observations).argmax(1, keepdim=True)
             value = self.target(batch.next_observations).gather(1, chosen).squeeze(1)
             goal = batch.rewards + self.config.gamma * (1.0 - batch.terminated) * value
+            if self.config.clip_goals:
+                free, goal = goal, goal.clamp(*self.bounds)
+                self.clipped += int((goal != free).sum())
 
         # Squared error, never Huber's with delta 1: at gamma .99 that prices a crash at one step of reward.
         q = self.online(batch.observations).gather(1, batch.actions[:, None]).squeeze(1)
@@ -218,13 +235,15 @@ class Training:
     Attributes:
         probe: the agent's first observations, on which its Q-values are watched.
         probe_q: rows of update, mean and largest of max_a |Q| on the probe: the signs of divergence.
+        goals_clipped: rows of update and share of the goals that were clipped since the row before.
     """
 
     def __init__(self, agent: DQN, env: gym.Env[Any, Any]) -> None:
         self.agent, self.env = agent, Episodes(env)
-        self.max_abs_reward = 0.0
         self.probe: np.ndarray | None = None
         self.probe_q: list[list[float]] = []
+        self.goals_clipped: list[list[float]] = []
+        self._clipped = 0
 
     def play(self, steps: int) -> None:
         """Play whole episodes until the agent has made at least so many steps in all."""
@@ -239,23 +258,28 @@ class Training:
             after, reward, terminated, truncated, _ = self.env.step(action)
             self.agent.replay.add(observation, action, float(reward), after, bool(terminated))
             observation, ended = after, terminated or truncated
-            self.max_abs_reward = max(self.max_abs_reward, abs(float(reward)))
 
     def watch(self) -> None:
-        """Note the Q-values on the probe."""
+        """Note the Q-values on the probe, and how many goals were clipped."""
         if self.probe is None:
             self.probe = self.agent.replay.first(self.agent.config.probe_size)
-        size = np.abs(self.agent.q(self.probe)).max(1)
-        self.probe_q.append([self.agent.updates, float(size.mean()), float(size.max())])
+        size, updates = np.abs(self.agent.q(self.probe)).max(1), self.agent.updates
+        since = updates - (self.probe_q[-1][0] if self.probe_q else 0)
+        self.probe_q.append([updates, float(size.mean()), float(size.max())])
+        share = (self.agent.clipped - self._clipped) / (since * self.agent.config.batch_size)
+        self.goals_clipped.append([updates, share])
+        self._clipped = self.agent.clipped
 
     def trained(self) -> Trained:
         """What is left when it is over."""
-        record = {
+        record: dict[str, Any] = {
             "steps": self.env.steps,
             "updates": self.agent.updates,
             "probe_q": self.probe_q,
-            "q_bound": self.max_abs_reward / (1.0 - self.agent.config.gamma),
+            "q_bound": max(map(abs, self.agent.bounds)),
         }
+        if self.agent.config.clip_goals:
+            record["goals_clipped"] = self.goals_clipped
         return Trained(self.agent.policy(), self.env.columns(), record)
 
 

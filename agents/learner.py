@@ -44,7 +44,8 @@ class Trained:
 
     episodes: an array a column, a row a training episode, at least of step (environment steps after it), return, length
     and crashed. record: plain values by name: "steps", "updates"; of a learner of Q-values also "probe_q" (update, mean
-    and largest max |Q| on some observations) and "q_bound" (that no true value exceeds).
+    and largest max |Q| on some observations) and "q_bound" (that no true value exceeds), and if it clips the goals of
+    its updates "goals_clipped" (update, share since the row before).
     """
 
     policy: SavedPolicy

@@ -31,6 +31,7 @@ class Replay:
             raise ValueError(f"The replay needs a capacity of at least 1, got {capacity}.")
         self.capacity = capacity
         self.added = 0  # transitions ever added; the newest lies at (added - 1) % capacity
+        self.least = self.most = 0.0  # of all rewards ever added, and of none
         # Memory is taken when it is first written, so a short training does not pay for the capacity.
         self.arrays: dict[str, np.ndarray] = {
             "observations": np.empty((capacity, *shape), np.float32),
@@ -57,6 +58,7 @@ class Replay:
         for array, value in zip(self.arrays.values(), transition, strict=True):
             array[row] = value
         self.added += 1
+        self.least, self.most = min(self.least, reward), max(self.most, reward)
 
     def sample(self, generator: np.random.Generator, count: int, device: str = "cpu") -> Batch:
         """``count`` transitions, uniform with replacement. Raises ValueError on an empty replay."""

@@ -41,24 +41,45 @@ def weights(module: nn.Module) -> np.ndarray:
     return nn.utils.parameters_to_vector(module.parameters()).detach().numpy().copy()
 
 
-@pytest.mark.parametrize(("interval", "tau"), [(7, 1.0), (1, 0.05)])
-def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(interval: int, tau: float) -> None:
-    """Parameters of their own, double DQN, clipped norm, a falling learning rate, moves of the target network."""
+@pytest.mark.parametrize(("interval", "tau", "clip"), [(7, 1.0, False), (1, 0.05, False), (1, 0.05, True)])
+def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(
+    interval: int, tau: float, clip: bool
+) -> None:
+    """Parameters of their own, double DQN, clipped norm, a falling learning rate, moves of the target network.
+
+    With clip, goals stay in what rewards up to .3 allow, and values begin beyond it.
+    """
     config = dataclasses.replace(
-        SMALL, target_interval=interval, tau=tau, max_grad_norm=0.1, updates=20, learning_rate_final=0.0
+        SMALL,
+        target_interval=interval,
+        tau=tau,
+        max_grad_norm=0.1,
+        updates=20,
+        learning_rate_final=0.0,
+        clip_goals=clip,
     )
     agent = make(config, seed=1)
     fill(agent, 150)
+    if clip:
+        inner: Any = agent.online.network
+        inner.value[-1].bias.data += 8.0
+        agent._target_weights.data.copy_(agent._weights.data)
     online, target = (Small(gym.spaces.Box(-1, 1, (INPUTS,)), ACTIONS) for _ in range(2))
     for network in (online, target):
         nn.utils.vector_to_parameters(torch.from_numpy(weights(agent.online)), network.parameters())
     optimizer = torch.optim.Adam(online.parameters(), lr=5e-4)
     sampling = copy.deepcopy(agent._sampling)
+    stored = agent.replay.arrays["rewards"][: len(agent.replay)]
+    clipped = 0
     for update in range(20):
         s, action, reward, after, terminated = agent.replay.sample(sampling, config.batch_size)
         rows = torch.arange(len(action))
         with torch.no_grad():
             goal = reward + config.gamma * (1 - terminated) * target(after)[rows, online(after).argmax(1)]
+            if clip:
+                beyond = goal > stored.max() / (1 - config.gamma)
+                clipped += int(beyond.sum())
+                goal[beyond] = float(stored.max()) / (1 - config.gamma)
         loss = functional.mse_loss(online(s)[rows, action], goal)
         optimizer.zero_grad()
         loss.backward()
@@ -72,10 +93,12 @@ def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(interval: i
     np.testing.assert_allclose(weights(agent.online), weights(online), atol=1e-5)
     np.testing.assert_allclose(weights(agent.target), weights(target), atol=1e-5)
     assert np.abs(weights(agent.online) - weights(make(config, seed=1).online)).max() > 1e-3
+    assert agent.clipped == clipped and (clipped > 50) == clip
 
 
-@pytest.mark.parametrize(("norm", "interval"), [(10.0, 1), (0.05, 3)])
-def test_updates_by_hand_are_those_of_autograd(norm: float, interval: int) -> None:
+@pytest.mark.parametrize(("norm", "interval", "shift"), [(10.0, 1, 0.0), (0.05, 3, 0.0), (10.0, 1, 8.0)])
+def test_updates_by_hand_are_those_of_autograd(norm: float, interval: int, shift: float) -> None:
+    """With a shift of the values, many goals are clipped."""
     space = gym.spaces.Box(-1, 1, (4, INPUTS), np.float32)
     config = DQNConfig(
         batch_size=16,
@@ -98,6 +121,9 @@ def test_updates_by_hand_are_those_of_autograd(norm: float, interval: int) -> No
                 pair[0], int(generator.integers(ACTIONS)), 0.3, pair[1], generator.random() < 0.2
             )
         agent.standardise()
+        inner: list[Any] = [agent.online.network, agent.target.network]
+        for network in inner:
+            network.decision.value[-1].bias.data += shift
     before = weights(agents[0].online)
     losses = np.array([[agent.update().item() for agent in agents] for _ in range(20)])
     np.testing.assert_allclose(losses[:, 0], losses[:, 1], rtol=1e-4)
@@ -105,6 +131,7 @@ def test_updates_by_hand_are_those_of_autograd(norm: float, interval: int) -> No
         plain, by_hand = (weights(getattr(agent, part)) for agent in agents)
         np.testing.assert_allclose(plain, by_hand, atol=2e-6)
     assert np.abs(plain - before).max() > 1e-3
+    assert agents[0].clipped == agents[1].clipped and (agents[0].clipped > 50) == (shift > 0)
     values, values_by_hand = (agent.q(pair) for agent in agents)
     np.testing.assert_allclose(values, values_by_hand, atol=1e-5)
 

@@ -126,7 +126,7 @@ def test_a_target_network_without_lag_shows_as_divergence() -> None:
     """The copy after every update at gamma .99: values far beyond the bound, and a constant policy."""
     config = replace(
         SMALL, updates=1000, tau=1.0, gamma=0.99, batch_size=100, learning_rate_final=5e-4, standardise=False,
-        probe_interval=250, warm_up=300, epsilon_decay=0.15,
+        probe_interval=250, warm_up=300, epsilon_decay=0.15, clip_goals=False,
     )  # fmt: skip
 
     def largest(record: dict[str, Any]) -> float:
@@ -139,6 +139,20 @@ def test_a_target_network_without_lag_shows_as_divergence() -> None:
     assert len({agent.policy.act(observation) for observation in observations}) == 1
     stable = train(road(), replace(config, network="dueling", target_interval=500), 0)
     assert largest(stable.record) < 6 < 1.2 * stable.record["q_bound"]
+
+
+def test_goals_beyond_what_rewards_allow_are_clipped_and_counted() -> None:
+    """A target network without lag diverges; clipped, its values stay where they can be, and the record says how."""
+    config = replace(SMALL, updates=400, tau=1.0, gamma=0.99, standardise=False)
+    free, clipped = (train(road(), replace(config, clip_goals=clip), 0) for clip in (False, True))
+    assert "goals_clipped" not in free.record
+    rows = clipped.record["goals_clipped"]
+    assert [row[0] for row in rows] == [row[0] for row in clipped.record["probe_q"]]
+    assert all(0 <= share <= 1 for _, share in rows)
+    agent = DQN(config, road().observation_space, road().action_space, 0, Small)
+    for reward in (-0.5, 0.25):
+        agent.replay.add(np.zeros((2, 5)), 0, reward, np.zeros((2, 5)), False)
+    assert agent.bounds == pytest.approx((-50.0, 25.0))
 
 
 def test_values_are_watched_on_the_first_observations() -> None:

@@ -58,7 +58,16 @@ RECORD = {
     "learner?": {"curve?": {"step": NUMBERS, "return": OR_NONE, "crashed": OR_NONE}},
 }
 OF_AGENT = {"timing": {"finished": str}, "learner": dict}
-OF_Q = {"learner": {"probe_q": [OR_NONE * 3], "q_bound": int | float}}  # of one that has learnt Q-values
+# Of one that has learnt Q-values.
+VALUES = {"episodes": COUNT[1:], **dict.fromkeys(("expected", "got", "size"), int | float)}
+OF_Q = {
+    "learner": {
+        "probe_q": [OR_NONE * 3],
+        "q_bound": int | float,
+        "goals_clipped?": [NUMBERS * 2],
+        "values?": VALUES,
+    }
+}
 
 
 class Column(NamedTuple):

@@ -16,8 +16,9 @@ from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import costs
 from experiments.study.compute.run import Heartbeat
+from experiments.study.compute.worth import Worth
 from experiments.study.design.arms import gate_traffics
-from experiments.study.design.grid import Cell, tested_on
+from experiments.study.design.grid import Cell, learner_of, tested_on
 from experiments.study.results.schema import EPISODES, GATE_COLUMNS, GATES
 from experiments.study.results.store import (
     TRAINING,
@@ -75,6 +76,7 @@ class CellTask:
         played, steps = 0, max(cell.budget[0], 1)
         timing: dict[str, Any] = {}
         learner: dict[str, Any] = {}
+        record: dict[str, Any] = {}
         files: dict[str, Any] = {}
 
         def on_episode() -> None:
@@ -82,7 +84,7 @@ class CellTask:
             played += 1
             heartbeat((training + tests * played / cell.work) / (training + tests))
 
-        started = time.monotonic()
+        started, busy = time.monotonic(), time.process_time()
         if cell.kind == "agent":
             from experiments.study.compute.train import train_cell  # baselines need no learner
 
@@ -92,32 +94,40 @@ class CellTask:
                 lambda made: heartbeat(training * min(made / steps, 1.0) / (training + tests)),
             )
             timing["train_seconds"] = time.monotonic() - started
+            timing["train_cpu_seconds"] = time.process_time() - busy
             trained.policy.save(made(self.folder) / WEIGHTS)
             files = {TRAINING: episodes, WEIGHTS: self.folder / WEIGHTS}
             learner = {"learner": record}
         started = time.monotonic()
         with closing(self.make_env(*tested_on(cell.key()))) as env:
-            files |= self._test(env, on_episode)
+            files |= self._test(env, on_episode, record)
         timing["test_seconds"] = time.monotonic() - started
         timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         store.write(cell, {**learner, "timing": timing, "provenance": provenance()}, files)
 
-    def _test(self, env: gym.Env[Any, Any], on_episode: Callable[[], None]) -> dict[str, pd.DataFrame]:
-        """The tables of the tests, by file."""
+    def _test(
+        self, env: gym.Env[Any, Any], on_episode: Callable[[], None], record: dict[str, Any]
+    ) -> dict[str, pd.DataFrame]:
+        """The tables of the tests, by file; adds to the record of a learner of Q-values whether these come true."""
         cell = self.cell
 
-        tested = driver(cell.key(), cell.source, env, *self._weights())
+        seen, policy = driver(cell.key(), cell.source, env, *self._weights())
         first = cell.eval.get("first_scenario", 0)
 
-        def table(purpose: str, traffics: Iterable[str], episodes: int) -> pd.DataFrame:
-            scenarios = range(first, first + episodes)
-            return evaluate(*tested, drives(cell.task, cell.level, scenarios, traffics, purpose), on_episode)
+        def table(there: gym.Env[Any, Any], purpose: str, traffics: Iterable[str], n: int) -> pd.DataFrame:
+            asked = drives(cell.task, cell.level, range(first, first + n), traffics, purpose)
+            return evaluate(there, policy, asked, on_episode)
 
-        usual = "test", cell.tested["traffics"], cell.tested["episodes"]
+        episodes = table(seen, "test", cell.tested["traffics"], int(cell.tested["episodes"]))
         if cell.test_on is not None:
-            return {EPISODES: table(*usual)}
-        gates = table("gate", gate_traffics(cell.arm), cell.gate_episodes)
-        return {EPISODES: table(*usual), GATES: gates[list(GATE_COLUMNS)]}
+            return {EPISODES: episodes}
+        judged: Any = seen
+        if has_values := "probe_q" in record and cell.gate_episodes > 0:
+            judged = Worth(seen, policy, learner_of(cell.key(), cell.source)[1].gamma, cell.rules)
+        gates = table(judged, "gate", gate_traffics(cell.arm), cell.gate_episodes)
+        if has_values:
+            record["values"] = judged.record()
+        return {EPISODES: episodes, GATES: gates[list(GATE_COLUMNS)]}
 
     def _weights(self) -> list[Path]:
         """Those that are tested; none for a policy that is not trained."""

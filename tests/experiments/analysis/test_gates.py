@@ -95,6 +95,24 @@ def test_values_beyond_what_rewards_allow_are_divergence(largest: float | None, 
     assert (found["failed"], found["passed"]) == ([] if passed else ["q_bounded"], passed)
 
 
+@pytest.mark.parametrize(("early", "late", "passed"), [(0.9, 0.009, True), (0.0, 0.011, False)])
+def test_goals_may_be_clipped_before_the_last_quarter(early: float, late: float, passed: bool) -> None:
+    """Rows count by the updates that they are of: the last one is of half as many."""
+    record = {"goals_clipped": [[400, early], [750, early], [900, late], [950, 0.0], [1000, 2 * late]]}
+    cells = {"agent": cell("dqn", "highway", "control"), "slower": cell("slower", "highway")}
+    cells["agent"]["learner"] |= record
+    [row] = gates(cells, pd.concat([TIED, BEATEN])).to_dict("records")
+    assert row["goals_inside"] is passed and row["passed"] is passed
+
+
+@pytest.mark.parametrize(("expected", "passed"), [(12.4, True), (7.6, True), (12.6, False), (7.4, False)])
+def test_values_have_to_come_true(expected: float, passed: bool) -> None:
+    cells = {"agent": cell("dqn", "highway", "control"), "slower": cell("slower", "highway")}
+    cells["agent"]["learner"]["values"] = {"episodes": 50, "expected": expected, "got": 10.0, "size": 10.0}
+    [row] = gates(cells, pd.concat([TIED, BEATEN])).to_dict("records")
+    assert row["values_true"] is passed and row["passed"] is passed
+
+
 def test_without_policies_to_compare_with_gates_are_open() -> None:
     record = verdict("highway", episodes("agent", 9 + LUCK))
     assert record["passed"] is None and record["failed"] == []

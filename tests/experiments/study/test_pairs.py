@@ -128,7 +128,7 @@ class TestSweep:
             (other / part).symlink_to(store.directory / part)
         tasks = [task for task in tasks_of(other, **ASKED) if task.name == name]
         assert tasks[0].done()
-        again = tasks[0]._test(tasks[0].make_env("sumo", "u-turn", {}), lambda: None)[EPISODES]
+        again = tasks[0]._test(tasks[0].make_env("sumo", "u-turn", {}), lambda: None, {})[EPISODES]
         assert again["actions"].tolist() == store.tables(name)[EPISODES]["actions"].tolist()
 
 

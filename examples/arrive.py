@@ -165,8 +165,9 @@ def own_dqn(env, seed, steps, **settings):
     """Train this project's double DQN."""
     from agents.dqn import DQNConfig, train
 
-    budget = {"updates": (steps - 1000) // 2, "steps_per_update": 2}
-    return train(env, DQNConfig(**{"gamma": 0.98, **budget, **settings}), seed).policy.act
+    budget = {"updates": (steps - 1000) // 2, "steps_per_update": 2, "batch_size": 100}
+    given = {"gamma": 0.98, "tau": 0.005, "clip_goals": False, "by_hand": False, **budget, **settings}
+    return train(env, DQNConfig(**given), seed).policy.act
 
 
 LEARNERS = {"sb3-dqn": sb3_dqn, "dqn": own_dqn}

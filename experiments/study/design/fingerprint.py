@@ -38,8 +38,8 @@ UPDATES, PROBES = 20, 8
 # What decides how a learner of ours computes, apart from its numbers, which are in the names of its cells.
 KINDS: tuple[Mapping[str, Any], ...] = (
     {"network": "attention"},
+    {"network": "attention", "by_hand": False},
     {"network": "dueling"},
-    {"network": "attention", "by_hand": True},
 )
 
 Behaviour = dict[str, str]  # numbers, with spaces between them, by what they are of
@@ -172,7 +172,10 @@ class Tape(gym.Env[Any, Any]):
 
 def kind_of(policy: str, profile: Mapping[str, Any]) -> str:
     """What kind of learner an agent has, as the table calls it: "dqn attention", or "dqn attention by hand"."""
-    by_hand = " by hand" if profile.get("by_hand") else ""
+    from agents.dqn import DQNConfig  # here: not every command needs the learner
+
+    what = {name: profile[name] for name in ("network", "device", "by_hand") if name in profile}
+    by_hand = " by hand" if policy == "dqn" and DQNConfig(**what).is_by_hand else ""
     return f"{policy} {profile.get('network', '')}{by_hand}"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from experiments.study.design.experiment import Dynamics, Experiment
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import Cell
-from experiments.study.design.sheet import SHEETS, sheet
+from experiments.study.design.sheet import SHEETS
 from experiments.support.errors import unknown
 
 # Training episodes of an agent in the paper. Budgets are counted in updates, equal for both arms: the number of
@@ -22,62 +22,57 @@ PAPER_EPISODES = 3072
 PAPER = {
     "network": "dueling",
     "gamma": 0.99,
-    "steps_per_update": 1,
     "learning_rate_final": 5e-4,
+    "batch_size": 100,
+    "clip_goals": False,
     "target_interval": 500,
     "tau": 1.0,
     "warm_up": 100,
     "standardise": False,
+    "by_hand": False,
 }
-# How training episodes end, by task (see `wrappers`): in the first version of "tuned" with the test's time limit, which
-# is terminal; later with a longer clock than the test's, of which the share that is over is observed in both.
-FIRST_CLOCK = {task: {"finite_horizon": True} for task, own in SHEETS.items() if own.first_clock}
+# How training episodes end, by task (see `wrappers`): with a longer clock than the test's, of which the share that is
+# over is observed in both; in earlier studies with the test's time limit, which was terminal.
 LONGER = {
     task: {"training_clock": [own.clock, own.clock], "time_observed": own.clock}
     for task, own in SHEETS.items()
     if own.clock
 }
+FIRST_CLOCK = {task: {"finite_horizon": True} for task, own in SHEETS.items() if own.first_clock}
 
 
 def tuned(
-    updates: Mapping[str, int], clock: Mapping[str, Mapping[str, Any]] = FIRST_CLOCK, **settings: Any
+    updates: Mapping[str, int], clock: Mapping[str, Mapping[str, Any]] = LONGER, **settings: Any
 ) -> dict[str, dict[str, Any]]:
-    """The learner of each task in the first version of "tuned": the defaults of `agents.dqn.DQNConfig`, but for these.
+    """The profile "tuned" by task: the defaults of `agents.dqn.DQNConfig`, but for these.
 
     updates: budget of an agent by task. clock: by task how its training episodes end, see `rules.TrainingRules`.
     """
     return {task: {"updates": budget, **clock.get(task, {}), **settings} for task, budget in updates.items()}
 
 
-def second_version(task: str, clock: Mapping[str, Any]) -> dict[str, Any]:
-    """The learner of a task in the second version of "tuned", with such a clock: one update per step.
-
-    How this was chosen: docs/developers/learner_choice.md.
-    """
-    tau = 0.005 / 4  # the target moves as far in a step as in the first version
-    return {"updates": sheet(task).second_steps, "steps_per_update": 1, "batch_size": 64, "tau": tau, **clock}
-
-
+SECOND_STEPS = {task: own.second_steps for task, own in SHEETS.items()}
 SECOND = Experiment(
     preset="second",
     about="the second study: learners that go on until they have finished, five seeds, 400 scenarios: days",
     seeds=5,
     episodes=400,
     gate_episodes=100,
-    learners={task: second_version(task, LONGER.get(task, {})) for task in SHEETS},
+    learners=tuned(SECOND_STEPS),
     first_seed=100,
     first_scenario=1000,
 )
 # Settings of rl-agents' HighwayEnv/agents/DQNAgent/dueling_ddqn.json and IntersectionEnv/agents/DQNAgent/
 # ego_attention_2h.json; the networks, the clip of the gradient's norm and the random steps are this project's.
 RL_AGENTS = {
-    "steps_per_update": 1,
     "learning_rate_final": 5e-4,
+    "clip_goals": False,
     "tau": 1.0,
     "replay_capacity": 15_000,
     "warm_up": 200,
     "standardise": False,
     "epsilon_final": 0.05,
+    "by_hand": False,
 }
 
 
@@ -108,16 +103,16 @@ PRESETS = {
             seeds=1,
             episodes=4,
             gate_episodes=4,
-            learners=tuned(dict.fromkeys(SHEETS, 200), warm_up=200),
+            learners=tuned(dict.fromkeys(SHEETS, 400), warm_up=200),
         ),
         Experiment(
             preset="quick",
-            about="all five tasks in their lightest traffic, three seeds an arm: 20 minutes on two cores",
+            about="all five tasks in their lightest traffic, three seeds an arm: 10 minutes on two cores",
             levels=(1,),
             seeds=3,
             episodes=50,
             gate_episodes=100,
-            learners=tuned({task: own.quick_updates for task, own in SHEETS.items()}, LONGER),
+            learners=tuned({task: own.quick_updates for task, own in SHEETS.items()}),
         ),
         Experiment(
             preset="standard",
@@ -125,7 +120,13 @@ PRESETS = {
             seeds=10,
             episodes=100,
             gate_episodes=100,
-            learners=tuned({task: own.standard_updates for task, own in SHEETS.items()}),
+            learners=tuned(
+                {task: own.standard_updates for task, own in SHEETS.items()},
+                FIRST_CLOCK,
+                steps_per_update=4,
+                batch_size=100,
+                tau=0.005,
+            ),
         ),
         SECOND,
         replace(
@@ -134,7 +135,7 @@ PRESETS = {
             about="the second study's u-turn and roundabout, where agents see when the test ends: hours",
             tasks=tuple(FIRST_CLOCK),
             levels=(1,),
-            learners={task: second_version(task, FIRST_CLOCK.get(task, {})) for task in SHEETS},
+            learners=tuned(SECOND_STEPS, FIRST_CLOCK),
         ),
         replace(
             SECOND,

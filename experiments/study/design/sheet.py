@@ -50,7 +50,7 @@ class Sheet:
 
     return_range: float
     episode_length: int
-    quick_updates: int = 5000
+    quick_updates: int = 8000
     standard_updates: int = 10_000
     second_steps: int = 40_000
     clock: int | None = None
@@ -84,7 +84,7 @@ SHEETS: dict[str, Sheet] = {
     "two-way": Sheet(
         return_range=15.0,
         episode_length=6,
-        quick_updates=8000,
+        quick_updates=14_000,
         standard_updates=20_000,  # 10,000 are too few (docs/learner.md)
         second_steps=160_000,
         lane_changes=False,
@@ -95,7 +95,7 @@ SHEETS: dict[str, Sheet] = {
     "roundabout": Sheet(
         return_range=11.0,
         episode_length=10,
-        quick_updates=4000,
+        quick_updates=7000,
         clock=15,
         first_clock=True,
         crossing=24.5,  # an ego's length beyond the entry
@@ -110,7 +110,7 @@ SHEETS: dict[str, Sheet] = {
     "intersection": Sheet(
         return_range=14.0,  # -5 to 9
         episode_length=9,
-        quick_updates=7000,
+        quick_updates=9000,
         crossing=45.0,
         lane_changes=False,
         egos_without=frozenset({"faster", "weaving"}),  # the ego starts at its top speed
@@ -125,7 +125,7 @@ SHEETS: dict[str, Sheet] = {
     "u-turn": Sheet(
         return_range=10.0,
         episode_length=9,
-        quick_updates=4000,
+        quick_updates=7000,
         second_steps=80_000,
         clock=13,
         first_clock=True,

@@ -181,7 +181,7 @@ def test_values_and_policy_of_a_known_decision_process() -> None:
     expected = np.zeros_like(rewards)
     for _ in range(2000):
         expected = rewards + gamma * (1 - crash) * (transitions @ expected.max(1))
-    config = DQNConfig(gamma=gamma, updates=3000, learning_rate=1e-3, tau=0.02)
+    config = DQNConfig(gamma=gamma, updates=3000, learning_rate=1e-3, batch_size=100, tau=0.02)
     agent = make(config, network=Medium, inputs=8)
     for _ in range(20_000):
         state, action = int(generator.integers(states)), int(generator.integers(ACTIONS))

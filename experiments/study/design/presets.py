@@ -149,6 +149,15 @@ PRESETS = {
             first_seed=200,
             first_scenario=2000,
         ),
+        replace(
+            SECOND,
+            preset="choice",
+            about="the choice of the learner (experiments/choose.py), by agents that no report uses: hours",
+            seeds=3,
+            episodes=200,
+            first_seed=7000,
+            first_scenario=70_000,
+        ),
         rl_agents("dueling", 6000, gamma=0.8, batch_size=32, target_interval=50),
         rl_agents("attention", 15_000, gamma=0.95, batch_size=64, target_interval=512),
         Experiment(

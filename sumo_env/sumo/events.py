@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from sumo_env.contacts.rectangles import CAR
+from sumo_env.contacts.rectangles import CAR, State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, NO_RULES, Session
@@ -62,11 +62,13 @@ class Events:
         self._asks_for_markings = scenario.traffic is not None
         self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
         self._pushes: dict[str, Push] = {}
+        self._states: dict[str, State] = {}  # of all vehicles in this sub-step, once somebody has looked
 
     def act(self, time: float, dt: float) -> None:
         """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
         if not (self._cut_ins or self._pushes or (self._coming and self._coming[-1].time <= time + EARLY)):
             return
+        self._states = {}
         while self._coming and self._coming[-1].time <= time + EARLY:
             event = self._coming.pop()
             if self._may_act(event.vehicle):
@@ -87,6 +89,11 @@ class Events:
         """Whether a vehicle is on the road, and SUMO's but for events."""
         vehicle = self._road.get(name)
         return vehicle is not None and not vehicle.crashed and not vehicle.is_learning
+
+    def _look(self) -> dict[str, State]:
+        """Where all vehicles are."""
+        self._states = self._states or self._session.read(self._road)
+        return self._states
 
     def imagine(self, events: Sequence[RiskEvent]) -> None:
         """Go on with these events; those that have begun are the same."""
@@ -140,7 +147,7 @@ class Events:
         return self._session.may_change(lane, there, self._session.vehicle.getVehicleClass(name))
 
     def _has_room(self, name: str, lane: LaneIndex) -> bool:
-        states = self._session.read(self._road)
+        states = self._look().copy()
         x, y, speed, _ = states.pop(name)
         geometry = self._network.road.lane(lane)
         s, _ = geometry.local_coordinates(x, y)
@@ -175,6 +182,5 @@ class Events:
         """A surge pauses while somebody is near straight ahead; a brake never does."""
         if event.kind == "brake":
             return True
-        states = self._session.read(self._road)
-        vehicle = states.pop(event.vehicle)
-        return free_way(vehicle, list(states.values()), event.way)
+        states = self._look()
+        return free_way(states[event.vehicle], states.values(), event.way)

@@ -7,7 +7,7 @@ without that, most events would be crashes among the traffic itself, far from th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import cos, sin
 from typing import Any, Literal
@@ -116,8 +116,11 @@ def has_room(there: State, others: Sequence[State], halves: Sequence[Half] = ())
     )
 
 
-def free_way(vehicle: State, others: Sequence[State], way: float) -> bool:
-    """Is no centre of another vehicle in the straight corridor of `way` [m] ahead of a vehicle?"""
+def free_way(vehicle: State, others: Iterable[State], way: float) -> bool:
+    """Is no centre of another vehicle in the straight corridor of `way` [m] ahead of a vehicle?
+
+    The vehicle itself may be among the others.
+    """
     x, y, _, heading = vehicle
     c, s = cos(heading), sin(heading)
     return not any(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -9,8 +10,9 @@ import libsumo
 import numpy as np
 import pytest
 
+from sumo_env.contacts.rectangles import State
 from sumo_env.simulator import EgoCommand
-from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
+from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR, Session
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.traffic.risk import FREE_WAY, RiskEvent
 from tests.sumo_env.scenarios import draw, with_leader
@@ -127,3 +129,28 @@ def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
         scenes.append(step.scene)
     np.testing.assert_array_equal(scenes[0].x, scenes[1].x)
     np.testing.assert_array_equal(scenes[0].y, scenes[1].y)
+
+
+def test_all_surging_vehicles_look_at_the_others_once_in_a_sub_step(
+    simulator: SumoSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the time of a step is quadratic in the number of vehicles."""
+    scenario, reads, read = draw("highway", vehicles_count=40), 0, Session.read
+
+    def counted(session: Session, names: Iterable[str]) -> dict[str, State]:
+        nonlocal reads
+        reads += 1
+        return read(session, names)
+
+    found = []
+    for surging in (0, 1, 30):
+        events = tuple(
+            RiskEvent(0.0, spec.id, "surge", accel=1.0, duration=9.0) for spec in scenario.vehicles[:surging]
+        )
+        simulator.reset(replace(scenario, events=events))
+        with monkeypatch.context() as patched:
+            patched.setattr(Session, "read", counted)
+            reads = 0
+            simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
+            found.append(reads)
+    assert found[1] == found[0] + 10 and found[2] == found[1]

@@ -171,7 +171,7 @@ def highway(lanes_count: int = 4) -> Road:
 def two_way(road_length: float = 800.0) -> Road:
     """One lane each way: at y = 4 the own one, at y = 0 a strip with two, ("a","b",0) and ("b","a",0).
 
-    `road_length` [m] is where highway-env's road ends; vehicles drive on beyond it.
+    `road_length` [m] is where highway-env's road ends; vehicles drive on beyond it, in the same lanes.
     """
     if road_length <= 0:
         raise ValueError(f"the road's length must be positive, got {road_length} m")

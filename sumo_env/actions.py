@@ -131,7 +131,7 @@ def target_lane(
         start, end, place = lane
         last = road.count(start, end) - 1
         beside = (start, end, min(max(place + (1 if action == "LANE_RIGHT" else -1), 0), last))
-        if road.lane(beside).is_reachable_from(x, y):
+        if road.oncoming or road.lane(beside).is_reachable_from(x, y):  # it goes on for both lanes
             return beside
     return lane
 
@@ -156,8 +156,12 @@ def lane_beside(action: str, place: Place, lane: LaneIndex) -> LaneIndex:
 
 
 def follow_road(road: Road, lane: LaneIndex, route: tuple[str, ...], x: float, y: float) -> LaneIndex:
-    """The lane to steer for at (x, y) [m]: `lane`, or at its end the next one of the route."""
-    return road.next_lane(lane, route, x, y) if road.lane(lane).after_end(x, y) else lane
+    """The lane to steer for at (x, y) [m]: `lane`, or at its end the next one of the route.
+
+    The two-way road goes on: its next lane would be that of the oncoming traffic.
+    """
+    is_over = not road.oncoming and road.lane(lane).after_end(x, y)
+    return road.next_lane(lane, route, x, y) if is_over else lane
 
 
 def ego_route(road: Road, ego: VehicleSpec) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ UNLIT, RED, YELLOW, GREEN = -1, 0, 1, 2  # states of a traffic light; UNLIT wher
 class Light(NamedTuple):
     """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m].
 
-    seconds: until the next phase begins, as far as the light has planned [s].
+    seconds: until the next phase begins [s]; where the light looks at the traffic, not before.
     """
 
     state: int = UNLIT

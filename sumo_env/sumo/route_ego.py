@@ -61,6 +61,8 @@ class RouteEgo:
         self.ahead: tuple[str, ...] = ()
         self._index: LaneIndex = next(iter(network.lanes))
         self.read_lane()
+        self._odometer, self._last_rest = 0.0, 0.0  # [m]
+        self._count_metres()
         # [m] at the start of this policy step, and at the departure
         self._left = self._way = self._remaining()
         self._position, self._accel = 0.0, session.vehicle.getAccel(name)  # before the present step
@@ -73,8 +75,7 @@ class RouteEgo:
         self.overlap = ""
         if self.vehicle.crashed:
             return
-        self._lane = ""  # routes and lanes may have changed since it came here
-        self.read_lane()
+        self.read_lane(again=True)  # routes and lanes may have changed since it came here
         self._target_speed, self._target_lane, self._acceleration = command
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index
@@ -97,7 +98,7 @@ class RouteEgo:
             of = session.vehicle
             accel, decel, hardest = of.getAccel(name), of.getDecel(name), of.getEmergencyDecel(name)
             wanted = driven(before, self._target_speed, self._acceleration, dt)[0]
-            speed = min(max(wanted, before - decel * dt, 0.0), before + accel * dt)
+            speed = min(max(min(wanted, of.getMaxSpeed(name)), before - decel * dt, 0.0), before + accel * dt)
             if self._obeys_lights:
                 allowed = speed_before(session.next_light(name), before, dt)
                 speed = min(speed, max(allowed, before - hardest * dt, 0.0))
@@ -136,13 +137,22 @@ class RouteEgo:
                 self.red_light = self.red_light or state[connection] in "ru"
         if not self._may_turn and self._target_lane is not None:
             self.ended = "missed turn"
-        return self.speed * dt
+        return self._count_metres()
 
-    def read_lane(self) -> None:
-        """Read where the ego is; what belongs to a lane is read when it comes there."""
+    def _count_metres(self) -> float:
+        """What SUMO's odometer has counted since the last call [m]; it counts for vehicles on lanes alone."""
+        before, now = self._odometer, float(self._session.vehicle.getDistance(self._name))
+        self._odometer = max(now, before)
+        return self._odometer - before
+
+    def read_lane(self, again: bool = False) -> None:
+        """Read where the ego is; what belongs to a lane is read when it comes there, or again.
+
+        A vehicle that is parked, or that SUMO is teleporting, is on no lane: its last one stands.
+        """
         session = self._session
         lane = session.vehicle.getLaneID(self._name)
-        if lane == self._lane or not lane:
+        if not lane or (lane == self._lane and not again):
             return
         self._lane, self.ahead = lane, session.route_ahead(self._name)
         if lane not in self._network.indices:
@@ -201,7 +211,10 @@ class RouteEgo:
 
     def _remaining(self) -> float:
         """From the front of the ego to the end of its route [m], without the ways through junctions."""
-        return self._rest(self._session.vehicle.getLanePosition(self._name))
+        of = self._session.vehicle
+        if of.getLaneID(self._name):  # else it is parked, or on no lane for a moment
+            self._last_rest = self._rest(of.getLanePosition(self._name))
+        return self._last_rest
 
     def _edge_length(self, edge: str) -> float:
         return self._network.sumo_lanes[f"{edge}_0"].length

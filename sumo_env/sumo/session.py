@@ -190,8 +190,12 @@ class Session:
         return Spot(self.vehicle.getLaneID(name), float(self.vehicle.getLanePosition(name)), height)
 
     def changes_lane(self, name: str) -> bool:
-        """Whether a lane change of a vehicle is running: it is not in the middle of its lane."""
-        return abs(float(self.vehicle.getLateralLanePosition(name))) >= CENTRED
+        """Whether a lane change of a vehicle is running: it moves sideways, and is not in the middle of its lane yet.
+
+        With sublanes, or by its departPosLat, a vehicle may drive beside the middle for good.
+        """
+        beside = abs(float(self.vehicle.getLateralLanePosition(name))) >= CENTRED
+        return beside and self.vehicle.getLateralSpeed(name) != 0.0
 
     def type_of(self, name: str) -> str:
         """The vehicle type that a vehicle came with."""
@@ -232,6 +236,7 @@ class Session:
         """The next traffic light on a vehicle's way."""
         for signal, _, distance, letter in self.vehicle.getNextTLS(name):
             if letter in LIGHTS:
+                # when SUMO next looks at the phase, which may go on where the light looks at the traffic
                 left = self.sumo.trafficlight.getNextSwitch(signal) - self.simulation.getTime()
                 return Light(LIGHTS[letter], float(distance), max(float(left), 0.0))
         return NO_LIGHT

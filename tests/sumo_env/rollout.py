@@ -15,7 +15,7 @@ import numpy as np
 from sumo_env.env import DrivingEnv
 
 
-def drive(env: Any, actions: int | Iterable[int] = 1, seed: int | None = None) -> Iterator[tuple[Any, ...]]:
+def drive(env: Any, actions: int | Iterable[Any] = 1, seed: int | None = None) -> Iterator[tuple[Any, ...]]:
     """What `step` returns until an episode or the actions end; with a seed, the episode begins here."""
     if seed is not None:
         env.reset(seed=seed)

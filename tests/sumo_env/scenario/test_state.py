@@ -1,0 +1,162 @@
+"""What SUMO says of the ego's state, and no guess: lane changes, parking, speeds of its type, lights, metres."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from itertools import repeat
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.scene import SECONDS_LEFT
+from tests.sumo_env.plans import QUIET, build, grid, needs_sumo, route_file
+from tests.sumo_env.rollout import drive
+
+pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*")]
+LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
+NODES = '<node id="a" x="0" y="0"/><node id="b" x="1500" y="0"/>'
+WIDE = NODES, '<edge id="ab" from="a" to="b" numLanes="4" speed="20"/>'
+LANES = {
+    "": [],
+    "sublanes": ["--lateral-resolution", "0.8"],
+    "wide sublanes": ["--lateral-resolution", "3.2"],
+    "duration": ["--lanechange.duration", "2"],
+}
+
+
+@pytest.mark.parametrize("options", LANES)
+@pytest.mark.parametrize("place", ["left", "right", "center"])
+def test_an_offered_lane_change_is_made_within_5_s(tmp_path: Path, options: str, place: str) -> None:
+    car = f'<vType id="own" latAlignment="{place}"/>'
+    start = '<vehicle id="ego" type="own" depart="0" departLane="1" departPosLat="{}"><route edges="ab"/></vehicle>'
+    routes = route_file(tmp_path, car + start.format(place))
+    config = {"duration": 90, "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10]}}
+    env = SumoDrivingEnv(
+        build(tmp_path, WIDE), routes, ego_vehicle="ego", config=config, sumo_options=LANES[options]
+    )
+    with closing(env):
+        env.reset(seed=0)
+        env.step(FASTER)
+        rng, made = Random(options + place), 0
+        for _ in range(8):
+            action = rng.choice([one for one in env.get_available_actions() if one in (LEFT, RIGHT)])
+            before = env.scene.place.lane[2]
+            for _ in range(5):
+                env.step(action if env.scene.place.lane[2] == before else IDLE)
+            made += env.scene.place.lane[2] == before + (1 if action == RIGHT else -1)
+        assert made == 8
+
+
+@pytest.mark.parametrize(
+    ("attributes", "most"),
+    [('vClass="bicycle"', 13.9), ('maxSpeed="8"', 8.0), ('vClass="truck"', 36.2)],
+)
+@pytest.mark.parametrize("kind", ["DiscreteMetaAction", "ContinuousAction"])
+def test_the_fastest_speed_of_a_type_holds_for_commands(
+    tmp_path: Path, attributes: str, most: float, kind: str
+) -> None:
+    fast = '<edge id="ab" from="a" to="b" numLanes="1" speed="25"/>'
+    routes = route_file(
+        tmp_path,
+        f'<vType id="own" {attributes}/><vehicle id="ego" type="own" depart="0"><route edges="ab"/></vehicle>',
+    )
+    config = {"action": {"type": kind}, "duration": 40}
+    with closing(
+        SumoDrivingEnv(build(tmp_path, (NODES, fast)), routes, ego_vehicle="ego", config=config)
+    ) as env:
+        env.reset(seed=0)
+        speeds = [
+            result[-1]["speed"]
+            for result in drive(env, FASTER if kind == "DiscreteMetaAction" else repeat(np.array([1.0, 0.0])))
+        ]
+    assert max(speeds) <= most + 1e-6
+    if most < 25.0:
+        assert max(speeds) == pytest.approx(most, abs=0.1)
+
+
+def test_a_car_that_parks_makes_no_progress_and_is_paid_no_more_than_the_way(tmp_path: Path) -> None:
+    plan = (
+        '<node id="a" x="0" y="0"/><node id="b" x="200" y="0"/><node id="c" x="400" y="0"/>',
+        '<edge id="ab" from="a" to="b" speed="14"/><edge id="bc" from="b" to="c" speed="14"/>',
+    )
+    for parks in ("true", "false"):
+        stop = f'<stop lane="bc_0" endPos="60" duration="6" parking="{parks}"/>'
+        routes = route_file(
+            tmp_path,
+            f'<vehicle id="ego" depart="0"><route edges="ab bc"/>{stop}</vehicle>',
+        )
+        both = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
+        for config in ({"action": both}, {}):
+            settings = {"duration": 120, "policy_frequency": 2, **config}
+            with closing(
+                SumoDrivingEnv(build(tmp_path, plan), routes, ego_vehicle="ego", config=settings)
+            ) as env:
+                env.reset(seed=0)
+                action, stopped = (0 if config else FASTER), 0
+                results = []
+                for result in drive(env, action):
+                    results.append(result)
+                    stopped += env.sumo.vehicle.isStopped("ego") if not result[2] else 0
+                progress = [result[-1]["rewards"]["progress_reward"] for result in results]
+                assert sum(result[1] for result in results) <= 10.0 + 1e-6
+                assert min(progress) > -0.01 and max(progress) < 0.1
+                if results[-1][-1]["arrived"]:
+                    assert sum(progress) == pytest.approx(1.0, abs=1e-6)
+                if config:
+                    assert stopped and results[-1][-1]["arrived"]
+
+
+@pytest.mark.parametrize("ballistic", [False, True])
+@pytest.mark.parametrize("frequency", [1, 2, 10])
+def test_the_metres_of_a_step_are_sumo_s(tmp_path: Path, ballistic: bool, frequency: int) -> None:
+    """Over random commands: what the ego has driven is where it is."""
+    options = ["--step-method.ballistic", "true"] if ballistic else []
+    config = {**QUIET, "simulation_frequency": frequency, "duration": 60, "policy_frequency": 1}
+    with closing(
+        SumoDrivingEnv(build(tmp_path, WIDE), [["ab"]], ["ab"], config, sumo_options=options)
+    ) as env:
+        env.reset(seed=0)
+        start, total, rng = env.sumo.vehicle.getLanePosition("ego"), 0.0, Random(frequency)
+        for _ in range(30):
+            info = env.step(rng.choice([IDLE, FASTER, FASTER, SLOWER, LEFT, RIGHT]))[-1]
+            total += info["distance"]
+            assert total == pytest.approx(env.sumo.vehicle.getLanePosition("ego") - start, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["static", "actuated", "delay_based", "NEMA"])
+def test_no_light_changes_before_the_seconds_that_are_said(tmp_path: Path, kind: str) -> None:
+    net = grid(
+        tmp_path, "--grid.number=3", "-L=2", "--no-turnarounds", "--tls.set=B1", f"--tls.default-type={kind}"
+    )
+    flows = "".join(
+        f'<flow id="{name}" begin="0" end="300" probability="0.3" from="{start}" to="{end}"/>'
+        for name, start, end in (("we", "A1B1", "B1C1"), ("ns", "B2B1", "B1B0"), ("ew", "C1B1", "B1A1"))
+    )
+    routes = route_file(tmp_path, flows + '<trip id="ego" depart="30" from="A1B1" to="B1C1"/>')
+    features: dict[str, Any] = {"type": "Kinematics", "features": ["x", SECONDS_LEFT]}
+    config = {"observation": features, "duration": 200, "policy_frequency": 10, "wait": 900}
+    with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config)) as env:
+        env.reset(seed=3)
+        said: list[tuple[float, float, int]] = []  # until when [s], by what was said, which phase there is
+        largest, changes = 0.0, 0
+        for _ in range(1500):
+            if env.step(IDLE if env.scene.light.distance > 40.0 else SLOWER)[2]:
+                break
+            if env.scene.light.distance == np.inf:
+                continue
+            phase, now = env.sumo.trafficlight.getPhase("B1"), env.scene.time
+            if said and said[-1][1] != phase:
+                changes += 1
+                least = max(until for until, before, _ in said if before == said[-1][1])
+                assert now >= least - 0.11, (kind, now, least)
+                if kind == "static":
+                    assert now == pytest.approx(said[-1][0], abs=0.21)
+                said = []
+            said.append((now + env.scene.light.seconds, phase, 0))
+            largest = max(largest, env.scene.light.seconds)
+        assert changes > 2
+        assert (largest == 0.0) == (kind == "NEMA")

@@ -127,6 +127,10 @@ def _onward(network: Network, index: LaneIndex) -> set[LaneIndex]:
 def _read(path: Path, changed: int) -> Network:
     net, left_hand = read_net(path), _is_left_hand(path)
     sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
+    classes_here = {name for found in sumo_lanes.values() for name in found.classes} - {"pedestrian"}
+    drivers = (
+        OTHERS | {CAR} if classes_here & {*OTHERS, CAR} else classes_here
+    )  # where no cars drive: trains, ships
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
     indices: dict[str, LaneIndex] = {}
@@ -143,7 +147,7 @@ def _read(path: Path, changed: int) -> Network:
     def road_of(part: Any) -> str:
         """Name of the road that a lane is part of; "" where nobody drives."""
         classes, edge = sumo_lanes[part.getID()].classes, part.getEdge()
-        if edge.isSpecial() or not (classes & OTHERS or CAR in classes):
+        if edge.isSpecial() or not classes & drivers:
             return ""
         name: str = edge.getID()
         return name if CAR in classes else name + CLOSED
@@ -177,11 +181,8 @@ def _read(path: Path, changed: int) -> Network:
                     add((f"{name}:to", f"{goal}:from", place), within, *shapes)
     if not sumo_lanes:
         raise ValueError(f"{path} has no edges: is it a SUMO network (.net.xml)?")
-    if not any(CAR in found.classes for found in first.values()):
-        classes = {name for found in sumo_lanes.values() for name in found.classes}
-        raise ValueError(
-            f"{path} has no lane for passenger cars, only for: {', '.join(sorted(classes)) or 'nobody'}"
-        )
+    if not lanes:
+        raise ValueError(f"{path} has no lane for vehicles")
     meeting = Meeting(
         net,
         {name: found.shape for name, found in sumo_lanes.items()},

@@ -61,6 +61,8 @@ class FleetTask(NetworkTask):
         super().__init__(network, routes, additional=additional)
         for vehicle in self.ids:
             self._contents.check_vehicle(vehicle)
+        if vehicle_type:
+            self._contents.check_type(vehicle_type)
         self.ego_id = self.ids[0] if self.ids else self.ego_id
 
     def _take_ego(self, *arguments: Any) -> tuple[Origin, ...]:

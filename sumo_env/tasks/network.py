@@ -109,6 +109,8 @@ class NetworkTask(Task):
         if left_out := contents.left_out:
             some = ", ".join(left_out[:5]) + (", ..." if len(left_out) > 5 else "")
             _warn_once(f"SUMO leaves out {len(left_out)} of the files ({some}): {UNSORTED}")
+        if contents.people:
+            _warn_once(f"{file} has people on foot: no agent sees them, and no contact with them is noticed")
         self._origins = self._take_ego(ego_route, ego_trips, ego_vehicle, ego_type)
         if ego_vehicle:
             contents.check_vehicle(ego_vehicle)
@@ -169,6 +171,8 @@ class NetworkTask(Task):
                     "ego_type is for an ego that is added: a vehicle of the files has its own type"
                 )
             return (Origin(),)
+        if type and type not in self._contents.distributions:
+            self._contents.check_type(type)
         kind = type or ("ego" if self._drawn else Origin().type)
         if trips:
             if not all(isinstance(trip, list | tuple) and len(trip) == 2 for trip in trips):
@@ -206,7 +210,8 @@ class NetworkTask(Task):
 
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: the ego's way, and what is drawn of the traffic."""
-        models = tuple(self._contents.models.items()) if config["risk"] else ()
+        named = {name: model for name, model in self._contents.models.items() if model}
+        models = tuple(named.items()) if config["risk"] else ()
         for model in sorted({model for _, model in models} & LACKING.keys()):
             lacks = ", ".join(LACKING[model])
             _warn_once(

@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 from xml.parsers import expat
 
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, did_you_mean
 from sumo_env.traffic.sumo_files import INPUTS, seconds
 
 NOT_IN_NETWORKS = {"edgeData", "laneData", "timedEvent"}  # they end the process there
 VEHICLES = {"vehicle", "trip", "flow"}
-DEPARTING = {*VEHICLES, "person", "personFlow", "container", "containerFlow"}
+PEOPLE = {"person", "personFlow"}
+DEPARTING = {*VEHICLES, *PEOPLE, "container", "containerFlow"}
 OTHER_FILES = {"net": "a network", "configuration": "a configuration", "osm": "a map of OpenStreetMap"}
 UNSORTED = (
     "it departs before what stands before it in its route file. Sort the file (SUMO has "
@@ -32,13 +33,23 @@ UNSORTED = (
 
 
 class Found(NamedTuple):
-    """What one file holds; of those that depart: id, whether it is a vehicle, has a line, time [s] if it is known."""
+    """What one file holds: as of `Contents`, and who departs, with the time [s] where it is known."""
 
-    includes: tuple[Path, ...]
+    includes: list[Path]
     ids: set[str]
     models: dict[str, str]
+    distributions: set[str]
     stopping: set[str]
-    departing: list[tuple[str, bool, bool, float | None]]
+    departing: list[Departure]
+
+
+class Departure(NamedTuple):
+    """A vehicle, flow, person or container; tag: of its element; is_line: whether it is a line of public transport."""
+
+    name: str
+    tag: str
+    is_line: bool
+    time: float | None
 
 
 class Contents:
@@ -46,7 +57,9 @@ class Contents:
 
     Attributes:
         ids: of all elements.
-        models: car-following models of the vehicle types that name one, by type.
+        models: car-following models of the vehicle types, by type; "" where a type names none.
+        distributions: ids of distributions of vehicle types.
+        people: whether somebody is on foot.
         stopping: ids of vehicles and flows that arrive at a place of their own (``arrivalPos``).
         first_departure: time of the first departure [s], None without one.
         left_out: ids of what SUMO leaves out: it departs earlier than what stands before it in a route file.
@@ -55,6 +68,8 @@ class Contents:
     def __init__(self) -> None:
         self.ids: set[str] = set()
         self.models: dict[str, str] = {}
+        self.distributions: set[str] = set()
+        self.people = False
         self.stopping: set[str] = set()
         self.first_departure: float | None = None
         self.left_out: list[str] = []
@@ -65,9 +80,11 @@ class Contents:
         latest = -inf
         self.ids |= found.ids
         self.models |= found.models
+        self.distributions |= found.distributions
         self.stopping |= found.stopping
-        for name, is_vehicle, is_line, time in found.departing:
-            if is_vehicle:
+        for name, tag, is_line, time in found.departing:
+            self.people |= tag in PEOPLE
+            if tag in VEHICLES:
                 self._vehicles.add(name)
             if time is None:
                 continue
@@ -95,6 +112,18 @@ class Contents:
         near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, known, n=5)]
         hint = f"did you mean one of {', '.join(near)}?" if near else f"they have {', '.join(known[:20])}"
         raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
+
+    def check_type(self, name: str) -> None:
+        """That there is a vehicle type of this id.
+
+        Raises:
+            ConfigError: there is none, or it is a distribution of types.
+        """
+        if name in self.distributions:
+            raise ConfigError(f"{name!r} is a distribution of vehicle types: name one of its types")
+        if name not in self.models and not name.startswith("DEFAULT_"):
+            known = did_you_mean(name, self.models) or f"they have {', '.join(sorted(self.models)) or 'none'}"
+            raise ConfigError(f"the files have no vehicle type {name!r}; {known}")
 
 
 def check_files(options: Mapping[str, str]) -> Contents:
@@ -153,7 +182,7 @@ class _Reader:
         self._path, self._is_network = path, is_network
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler, self._parser.EndElementHandler = self._element, self._end
-        self._included, self._found = list[Path](), Found((), set(), {}, set(), [])
+        self._found = Found([], set(), {}, set(), set(), [])
         self._edge, self._lanes = "", set[str]()  # the edge around an element, and the numbers of its lanes
 
     def read(self) -> Found:
@@ -168,7 +197,7 @@ class _Reader:
             raise
         except (OSError, EOFError, LookupError, ValueError, zlib.error, expat.ExpatError) as error:
             raise ConfigError(f"{path} cannot be read: {error}") from None
-        return self._found._replace(includes=tuple(self._included))
+        return self._found
 
     def _refuse(self, what: str) -> NoReturn:
         raise ConfigError(f"{self._path}, line {self._parser.CurrentLineNumber}: {what}")
@@ -202,14 +231,16 @@ class _Reader:
     def _note(self, tag: str, has: Mapping[str, str]) -> None:
         name = has.get("id", "")
         self._found.ids.add(name)
-        if tag == "vType" and "carFollowModel" in has:
-            self._found.models[name] = has["carFollowModel"]
+        if tag == "vType":
+            self._found.models[name] = has.get("carFollowModel", "")
+        if tag == "vTypeDistribution":
+            self._found.distributions.add(name)
         if has.get("arrivalPos", "max") != "max":
             self._found.stopping.add(name)
         if tag in DEPARTING:
             text = has.get("depart", has.get("begin", ""))
             time = seconds("depart", text) if re.fullmatch(r"[\d.:]+", text) else None
-            self._found.departing.append((name, tag in VEHICLES, bool(has.get("line")), time))
+            self._found.departing.append(Departure(name, tag, bool(has.get("line")), time))
 
     def _other_files(self, tag: str, has: Mapping[str, str]) -> None:
         """Files that an element reads or writes."""
@@ -224,7 +255,7 @@ class _Reader:
         if tag == "include":
             if not (name := has.get("href", "")):
                 self._refuse("<include> names no file, which ends the process")
-            self._included.append(Path(os.path.realpath(self._path.parent / name)))
+            self._found.includes.append(Path(os.path.realpath(self._path.parent / name)))
         if tag == "variableSpeedSign" and not (self._path.parent / has.get("file", "")).exists():
             self._refuse(f"there is no file {has['file']!r}, which ends the process")
 

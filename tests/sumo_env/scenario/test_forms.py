@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 import gzip
 import re
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from sumo_env import parallel_env
+from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
 from tests.processes import python
-from tests.sumo_env.plans import SUMO, Rows, floating_car_data, grid, needs_sumo
+from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
 from tests.sumo_env.scenario.test_oracle import differences, driven
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
@@ -255,6 +261,53 @@ def test_packed_files(net: Path, usual: Rows, tmp_path: Path) -> None:
         (tmp_path / f"{name}.gz").write_bytes(gzip.compress((tmp_path / name).read_bytes()))
         (tmp_path / name).unlink()
     assert_drives(config, usual)
+
+
+def test_a_train_on_rails_alone(tmp_path: Path) -> None:
+    """SUMO drives it; an agent may as well."""
+    edges = "".join(
+        f'<edge id="{one}{two}" from="{one}" to="{two}" numLanes="1" speed="20" allow="rail"/>'
+        for one, two in ("ab", "bc")
+    )
+    net = build(tmp_path, ("a 0 0, b 300 0, c 600 50", f"<edges>{edges}</edges>"))
+    train = '<vType id="train" vClass="rail"/><trip id="{}" type="train" depart="{}" from="ab" to="bc"/>'
+    text = says(net=net.name)("")
+    config = written(tmp_path, net, text, {"n": net.name}, {"r": train.format("ego", 0)})
+    assert_drives(config, plain(config))
+    for origin in ({"ego_vehicle": "ego"}, {"ego_route": ["ab", "bc"], "ego_type": "train"}):
+        env = SumoDrivingEnv(config, **origin, config={"duration": 99})
+        env.reset(seed=0)
+        over, info = False, dict[str, Any]()
+        while not over:
+            _, _, terminated, truncated, info = env.step(3)
+            over = terminated or truncated
+        env.close()
+        assert info["rewards"]["arrived_reward"] == 1.0
+
+
+def test_a_copy_of_what_has_threads_goes_on(net: Path, tmp_path: Path) -> None:
+    config = written(tmp_path, net, option("threads", 2)(""), {}, {})
+    env = SumoDrivingEnv(config, ego_vehicle="ego")
+    env.reset(seed=7)
+    with closing(copy.deepcopy(env)) as twin, closing(env):
+        assert np.array_equal(env.step(1)[0], twin.step(1)[0])
+
+
+def test_people_are_said_not_to_be_seen(net: Path, tmp_path: Path) -> None:
+    config = written(tmp_path, net, says()(""), {}, CONTENTS["people"])
+    with pytest.warns(UserWarning, match="on foot"):
+        SumoDrivingEnv(config, ego_vehicle="ego")
+
+
+def test_a_type_that_is_none_is_said_at_once(net: Path, tmp_path: Path) -> None:
+    types = '<vTypeDistribution id="mix"><vType id="quick"/><vType id="slow"/></vTypeDistribution>'
+    config = written(tmp_path, net, says()(""), {}, {"a": types})
+    for name, word in (("mix", "distribution"), ("quikc", "quick")):
+        with pytest.raises(ConfigError, match=word):
+            parallel_env(config, vehicle_type=name, max_cars=2)
+    with pytest.raises(ConfigError, match="none"):
+        SumoDrivingEnv(config, ego_route=["A0A1", "A1B1"], ego_type="none")
+    SumoDrivingEnv(config, ego_route=["A0A1", "A1B1"], ego_type="mix")
 
 
 def test_a_link_to_a_configuration(net: Path, usual: Rows, tmp_path: Path) -> None:

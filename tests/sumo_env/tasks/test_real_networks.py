@@ -116,13 +116,11 @@ def test_a_task_of_ones_own_keeps_its_target_speeds(pieces: Path) -> None:
 @pytest.mark.parametrize(
     "net", sorted(SHIPPED.rglob("*.net.xml*")), ids=lambda path: str(path.relative_to(SHIPPED))
 )
-def test_every_network_that_comes_with_sumo_is_driven_or_has_no_lane_for_cars(net: Path) -> None:
+def test_every_network_that_comes_with_sumo_is_driven_where_it_has_lanes_for_cars(net: Path) -> None:
     """Random routes, towns of OpenStreetMap among them (A10KW, bs3d, DRT)."""
-    try:
-        network = files.network(net)
-    except ValueError as error:
-        assert "no lane for passenger cars" in str(error)
-        return
+    network = files.network(net)
+    if all(files.CLOSED in start for start, _, _ in network.lanes):
+        return  # rails alone
     rng, driven = random.Random(0), 0
     while driven < 3:
         routes = [walk(network, rng, rng.randint(2, 12)) for _ in range(20)]

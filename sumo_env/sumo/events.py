@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from sumo_env.contacts.rectangles import CAR, State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, NO_RULES, Session
+from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, Session
 from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.risk import SWERVE_TIME, RiskEvent, free_way, has_room
 from sumo_env.traffic.scenario import Scenario
@@ -40,7 +40,7 @@ def deviate(session: Session, vehicle: Vehicle, factors: Mapping[str, float]) ->
             present = float(of.getParameter(name, parameter))
             of.setParameter(name, parameter, f"{factor * present:.6g}")
     if not factors["gives_way"]:
-        vehicle.ignore_rules(NO_RULES)
+        vehicle.ignore_rules()
 
 
 @dataclass

@@ -10,6 +10,7 @@ from sumo_env.sumo.session import (
     ALL_CHECKS_OFF,
     COMMANDED_LANE_CHANGES,
     NO_RIGHT_OF_WAY,
+    NO_RULES,
     OWN_LANE_CHANGES,
     REGULAR,
     Session,
@@ -57,10 +58,10 @@ class Vehicle:
         self.crashed, self.coasting = False, 0.0
         self._is_changing = False  # whether a lane change of SUMO's may still be running
 
-    def ignore_rules(self, speed_mode: int) -> None:
-        """From now on SUMO drives it in another speed mode."""
-        self._base = speed_mode, self._base[1]
-        self._set(speed_mode, self.now[1])
+    def ignore_rules(self) -> None:
+        """From now on it gives way to nobody when SUMO drives it."""
+        self._base = NO_RULES, self._base[1]
+        self._set(*self._base)
 
     def hold_speed(self, mode: int = ALL_CHECKS_OFF) -> None:
         """From now on its speed is commanded (`drive`), in this speed mode."""

@@ -15,7 +15,6 @@ AT_ONCE = 10
 
 
 @needs_sumo
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "first", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(10, 300, AT_ONCE))]
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -13,6 +14,7 @@ import libsumo
 import numpy as np
 import pytest
 
+import sumo_env
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
@@ -31,6 +33,7 @@ HZ = 10  # of policy steps too, so that every sub-step is looked at
 KINDS = ("cut-in", "brake", "surge")
 ENOUGH = pytest.param(range(2, 60), marks=pytest.mark.long)
 WATCHED = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}  # SUMO drives
+PACKAGE = Path(sumo_env.__file__).parent
 WRECKED = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES
 FURTHER = 1e-6  # [m/s] that a speed may differ from SUMO's own
 
@@ -51,6 +54,13 @@ def overlapping(scenario: Scenario, rng: np.random.Generator) -> Scenario:
         times = [start, *(start + rng.uniform(0.0, 3.0, len(kinds) - 1)).tolist()]
         events += [event(kind, spec, time, rng) for kind, time in zip(kinds, times, strict=True)]
     return replace(scenario, events=tuple(sorted(events, key=lambda event: event.time)))
+
+
+def test_one_module_commands_vehicles() -> None:
+    """The session sets the first modes of what it adds."""
+    setters = re.compile(r"set(SpeedMode|LaneChangeMode|Speed)\(")
+    found = {file.name for file in PACKAGE.rglob("*.py") if setters.search(file.read_text(encoding="utf-8"))}
+    assert found == {"vehicle.py", "session.py"}
 
 
 class Watch:

@@ -127,10 +127,11 @@ def _onward(network: Network, index: LaneIndex) -> set[LaneIndex]:
 def _read(path: Path, changed: int) -> Network:
     net, left_hand = read_net(path), _is_left_hand(path)
     sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
-    classes_here = {name for found in sumo_lanes.values() for name in found.classes} - {"pedestrian"}
-    drivers = (
-        OTHERS | {CAR} if classes_here & {*OTHERS, CAR} else classes_here
-    )  # where no cars drive: trains, ships
+    ordinary = [edge for edge in net.getEdges(withInternal=False) if not edge.isSpecial()]
+    here = {
+        name for edge in ordinary for part in edge.getLanes() for name in sumo_lanes[part.getID()].classes
+    }
+    drivers = OTHERS | {CAR} if CAR in here else here - {"pedestrian"}  # where no cars drive: trains, ships
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
     indices: dict[str, LaneIndex] = {}

@@ -64,6 +64,7 @@ class FleetTask(NetworkTask):
         if vehicle_type:
             self._contents.check_type(vehicle_type)
         self.ego_id = self.ids[0] if self.ids else self.ego_id
+        self._ego_is_of_files = bool(self.ids)
 
     def _take_ego(self, *arguments: Any) -> tuple[Origin, ...]:
         return (Origin(),)

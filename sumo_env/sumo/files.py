@@ -138,7 +138,7 @@ class FileSimulator(SumoSimulator):
             )
         return (
             f"the ego {name!r} has not departed within {after}: it departs later ('wait', 'begin'), SUMO has refused "
-            "it, or there is no such vehicle"
+            "it or left it out ('scale' of the files), or there is no such vehicle"
         )
 
     # -- a policy step -------------------------------------------------------------------------------------

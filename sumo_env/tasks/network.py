@@ -112,6 +112,7 @@ class NetworkTask(Task):
         if contents.people:
             _warn_once(f"{file} has people on foot: no agent sees them, and no contact with them is noticed")
         self._origins = self._take_ego(ego_route, ego_trips, ego_vehicle, ego_type)
+        self._ego_is_of_files = bool(ego_vehicle)
         if ego_vehicle:
             contents.check_vehicle(ego_vehicle)
         self.ego_id = ego_vehicle or next(
@@ -171,8 +172,6 @@ class NetworkTask(Task):
                     "ego_type is for an ego that is added: a vehicle of the files has its own type"
                 )
             return (Origin(),)
-        if type and type not in self._contents.distributions:
-            self._contents.check_type(type)
         kind = type or ("ego" if self._drawn else Origin().type)
         if trips:
             if not all(isinstance(trip, list | tuple) and len(trip) == 2 for trip in trips):
@@ -273,6 +272,11 @@ class NetworkTask(Task):
         if not 0.0 <= low <= high:
             raise ConfigError(
                 f"config key 'traffic_scale' must be [low, high] from 0 on, not {[low, high]!r}"
+            )
+        if low < 1.0 and self._ego_is_of_files:
+            raise ConfigError(
+                f"config key 'traffic_scale' must be from 1 on, not {[low, high]!r}, where the ego is a vehicle of the "
+                "files: below, SUMO may leave it out. ego_route and ego_trips add an ego that always comes"
             )
         return float(stream(seed, "traffic scale").uniform(low, high)) if low < high else float(low)
 

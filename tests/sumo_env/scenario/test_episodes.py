@@ -335,8 +335,9 @@ def test_traffic_may_vary_by_episode(town: Path) -> None:
             env.close()
         assert counts[:3] == [1, 1, 1] and min(counts[3:]) > 3
         assert counts[6] == counts[8] and (counts[3], counts[4]) != (counts[6], counts[7])
-    with pytest.raises(ConfigError, match="traffic_scale"):
-        SumoDrivingEnv(town, ego_route=WAY, config={"traffic_scale": [2, 1]}).reset(seed=0)
+    for ego, scale in (({"ego_route": WAY}, [2, 1]), ({"ego_vehicle": "ego"}, [0.5, 1])):
+        with pytest.raises(ConfigError, match="traffic_scale"):
+            SumoDrivingEnv(town, **ego, config={"traffic_scale": scale}).reset(seed=0)
 
 
 def test_large_seeds_have_noise_of_their_own(town: Path) -> None:

@@ -305,9 +305,6 @@ def test_a_type_that_is_none_is_said_at_once(net: Path, tmp_path: Path) -> None:
     for name, word in (("mix", "distribution"), ("quikc", "quick")):
         with pytest.raises(ConfigError, match=word):
             parallel_env(config, vehicle_type=name, max_cars=2)
-    with pytest.raises(ConfigError, match="none"):
-        SumoDrivingEnv(config, ego_route=["A0A1", "A1B1"], ego_type="none")
-    SumoDrivingEnv(config, ego_route=["A0A1", "A1B1"], ego_type="mix")
 
 
 def test_a_link_to_a_configuration(net: Path, usual: Rows, tmp_path: Path) -> None:

@@ -15,12 +15,13 @@ from markupsafe import Markup
 
 from agents.files import open_regular
 from experiments.analysis.analysis import Analysis
-from experiments.analysis.claims import all_hold
+from experiments.analysis.by_task import COLUMNS
+from experiments.analysis.claims import CONTRADICTED, all_hold
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA, Plan, plan_of
-from experiments.analysis.scores import TASK_ORDER, with_outcomes
+from experiments.analysis.scores import with_outcomes
 from experiments.reporting import figures, tables
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
@@ -83,6 +84,7 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
     """All that is shown of one simulator; `mean` finds the mean of an effect over settings."""
     return {
         "name": BACKENDS.get(name, name),
+        "key": name,
         "mean": partial(mean, analysis, name),
         **answer(name, analysis),
         "mixed": mixed(name, analysis),
@@ -110,22 +112,27 @@ def mean(
 
 
 def answer(name: str, analysis: Analysis) -> dict[str, Any]:
-    """The numbers of the answer: means over all settings in both traffics, and how many settings are on which side."""
-    risky, regular = (mean(analysis, name, "crashed", term) for term in ("risky", "regular"))
-    means = chosen(main(analysis.means, name), outcome="crashed", term="risky", scope=list(TASK_ORDER))
-    by_task = means.sort_values("estimate")
+    """What holds in which task and where, how many settings are on which side, and what limits it."""
+    risky = mean(analysis, name, "crashed", "risky")
     single = chosen(main(analysis.effects, name), outcome="crashed", term=list(TRAFFICS))
-    agents = chosen(analysis.gates, backend=name, arm=list(ARMS))
+    asked = tables.places(analysis, name)
+    plan = plan_of(analysis.provenance["presets"])
+    own = chosen(analysis.gates, backend=name, arm=list(plan.arms))
     return {
         "answered": bool(risky) and risky["status"] == OK,
         "risky": risky,
-        "regular": regular,
         "settings": risky.get("settings", 0),
-        "agents": len(agents),
-        "failing": int((agents["passed"].astype(object) == False).sum()),  # noqa: E712
-        "by_task": by_task.to_dict("records"),
-        "strongest": by_task["scope"].iloc[by_task["estimate"].abs().argmax()] if len(by_task) > 2 else None,
-        "missing": missing(single, plan_of(analysis.provenance["presets"])),
+        "agents": len(own),
+        "where": [
+            {
+                **{"words": words, "simulator": place[0], "traffic": place[1]},
+                **{column: tables.sides(analysis, name, column, place) for column in COLUMNS},
+            }
+            for place, words in asked.items()
+        ],
+        "failing": tables.failing(own),
+        "hopeless": tables.hopeless(analysis, name),
+        "missing": missing(single, plan),
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
         **sides(single),
     }
@@ -141,11 +148,14 @@ def missing(single: pd.DataFrame, plan: Plan) -> list[str]:
     return [f"{task} {tables.listing(names)}" for task, names in lacking.items()]
 
 
-def sides(single: pd.DataFrame) -> dict[str, dict[str, int]]:
-    """In how many settings the plan decides that there are fewer or more crashes, by traffic."""
-    decided = single[single["p_adjusted"] < ALPHA] if len(single) else single
+def sides(single: pd.DataFrame) -> dict[str, dict[str, list[str]]]:
+    """The settings in which the plan decides that there are fewer or more crashes, by traffic."""
+    decided = tables.with_setting(single[single["p_adjusted"] < ALPHA] if len(single) else single)
     return {
-        side: {term: int((sign * chosen(decided, term=term)["estimate"] > 0).sum()) for term in TRAFFICS}
+        side: {
+            term: list(chosen(decided[sign * decided["estimate"] > 0], term=term)["setting"])
+            for term in TRAFFICS
+        }
         for side, sign in (("fewer", -1), ("more", 1))
     }
 
@@ -163,16 +173,30 @@ def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
         "limits": {task: rows.to_dict("records") for task, rows in bounds.groupby("scope", sort=False)},
         "settings": len(single.drop_duplicates(["task", "level"])),
         **sides(single),
-        "tasks": tables.first_page(analysis, name, "mixed"),
+        "tasks": tables.by_task(analysis, name, "mixed", columns=("crashed", "mean_speed")),
     }
 
 
 def together(name: str, analysis: Analysis) -> dict[str, Any] | None:
-    """What the fourth plan asks of two agents weighed by a belief; None under another plan."""
+    """What the fourth plan asks of two agents weighed by a belief; None under another plan.
+
+    Of each of its bounds: the row of the analysis, the tasks in which it is contradicted, and the pairs of agents
+    without one of which the verdict would be another.
+    """
     rows = analysis.price
-    bounds = chosen(rows, backend=name, arm="belief", scope=ALL_TASKS).to_dict("records") if len(rows) else []
-    pairs = [row for row in bounds if row["against"].startswith("two-")]
-    return {"bounds": pairs, "verdict": all_hold([row["verdict"] for row in pairs])} if pairs else None
+    bounds = chosen(rows, backend=name, arm="belief").to_dict("records") if len(rows) else []
+    asked = [row for row in bounds if row["scope"] == ALL_TASKS and row["against"].startswith("two-")]
+    for row in asked:
+        same = [own for own in bounds if (own["against"], own["term"]) == (row["against"], row["term"])]
+        row["contradicted"] = [
+            own["scope"] for own in same if own["verdict"] == CONTRADICTED and own is not row
+        ]
+        without = analysis.influence
+        if len(without):
+            without = chosen(without, backend=name, against=row["against"], term=row["term"])
+            without = without[without["verdict"] != row["verdict"]]
+        row["hangs_on"] = without.to_dict("records")
+    return {"bounds": asked, "verdict": all_hold([row["verdict"] for row in asked])} if asked else None
 
 
 def paces(policies: pd.DataFrame) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from experiments.analysis.analysis import DESCRIPTIVE, analyse, policies, stored
 from experiments.analysis.effects import means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
-from experiments.reporting.tables import difference, main
+from experiments.reporting.tables import both_arms, difference, effect, main
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
@@ -136,28 +136,57 @@ class TestAnswer:
         synthetic.write(home, {"highway": (1,), "u-turn": (1, 2)}, seeds=6, tests=60, effect=-0.4)
         return analyse(load(home)), Page(report.write_report(home).read_text()).text, report.answer(home)
 
-    def test_the_heading_follows_both_traffics(self, analysis):
-        assert "Safer in risky traffic, not decided in regular traffic" in analysis[2]
+    def test_the_first_sentence_says_what_holds_in_which_task(self, analysis):
+        found, page, text = analysis
+        rows = found.by_task.query(
+            "outcome == 'crashed' and arm == 'treatment' and scope in ('highway', 'u-turn')"
+        )
+        assert (rows.query("traffic == 'risky'")["high"] < 0).all()  # as planted
+        first = text.splitlines()[0]
+        assert first.startswith(
+            "In risky traffic treated agents: fewer crashes in every task. In regular"
+        )
+        assert first in page
+        regular = rows.query("traffic == 'regular'")
+        assert ((regular["low"] < 0) & (regular["high"] > 0)).all()
+        assert first.endswith("not decided in any task.")
+        assert "mean" not in first and "safer in" not in text.lower()
 
     @pytest.mark.parametrize("traffic", ["risky", "regular"])
-    def test_rates_and_differences_are_those_of_the_traffic(self, analysis, traffic):
+    def test_the_first_table_has_both_arms_and_the_difference_of_each_task(self, analysis, traffic):
         found, page, _ = analysis
-        means = main(found.means, "sumo").query("scope == 'all tasks' and outcome == 'crashed'")
-        [row] = means[means["term"] == traffic].to_dict("records")
-        treated, control = (f"{100 * row[name]:.1f} %" for name in ("mean_arm", "mean_against"))
-        words = (f"n {traffic} traffic", "crash in")
-        told = next(line for line in page.split("\n") if all(word in line for word in words))
-        assert told.index(treated) < told.index(control)
-        assert difference(row) in page
+        for row in found.by_task.query(
+            "traffic == @traffic and scope == 'u-turn' and arm == 'treatment'"
+        ).to_dict("records"):
+            assert both_arms(row) in page
+        [row] = found.by_task.query(
+            "traffic == @traffic and scope == 'u-turn' and outcome == 'crashed' and arm == 'treatment'"
+        ).to_dict("records")
+        cell = both_arms(row)
+        control, treated = (f"{100 * row[name]:.1f}" for name in ("mean_against", "mean_arm"))
+        assert cell.startswith(f"{control} → {treated}\n")
+
+    def test_a_mean_stands_with_that_without_each_task(self, analysis):
+        found, page, _ = analysis
+        means_of = found.by_task.query("outcome == 'crashed' and arm == 'treatment'")
+        for scope in ("all tasks", "without highway", "without u-turn"):
+            for row in means_of[means_of["scope"] == scope].to_dict("records"):
+                assert effect(row) in page
 
     def test_settings_are_counted_on_both_sides(self, analysis):
-        found, _, text = analysis
+        found, page, _ = analysis
         rows = found.effects.query("arm == 'treatment' and outcome == 'crashed' and family != ''")
         fewer = ((rows["term"] == "risky") & (rows["p_adjusted"] < 0.05) & (rows["estimate"] < 0)).sum()
-        [line] = [
-            line for line in text.split("\n") if "Treated agents crash less in risky traffic in" in line
-        ]
-        assert fewer > 0 and f"in risky traffic in {fewer} of 3 settings and more in none." in line
+        assert fewer > 0
+        assert (
+            f"in 3 settings and with Holm's correction: in risky traffic fewer crashes in {fewer}, more in 0"
+            in page
+        )
+
+    def test_gates_are_told_where_they_fail(self, directory):
+        """One agent of the u-turn with 6 cars has diverged: of its setting more than two thirds pass."""
+        text = (directory / "report.md").read_text()
+        assert "23 of 24 agents pass every gate. All agents count." in text
 
 
 @pytest.mark.usefixtures("words_alone")

@@ -26,13 +26,14 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(ROOT)
 
 import pandas as pd
+import pyarrow.parquet as pq
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from scipy import stats
 
 from experiments.analysis.analysis import Analysis, stored
-from experiments.analysis.gates import CROSSINGS
+from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.plan import OUTCOMES
-from experiments.reporting import tables
+from experiments.reporting import by_task, tables
 from experiments.reporting.tables import UNITS, chosen, plain
 from sumo_env.tasks import TASKS
 
@@ -82,13 +83,15 @@ def episodes(folder: str) -> pd.DataFrame:
     Columns: of the stored episodes; task, level, setting, kind, arm, policy and seed of their cell, and the `seconds`
     that an episode lasts.
     """
-    columns = ["cell", "traffic", "scenario", "crashed", "crash_time", "distance", "return"]
     records = pd.read_parquet(RESULTS / folder / "cells.parquet").set_index("cell")["record"].map(json.loads)
     keys = pd.DataFrame([{"cell": name, **record["key"]} for name, record in records.items()])
     keys["setting"] = keys["task"] + " " + keys["level_name"]
     keys["seconds"] = keys["env_config"].map(lambda config: float(config["duration"]))
     keys = keys[["cell", "kind", "task", "level", "setting", "arm", "policy", "seed", "seconds"]]
-    drives = pd.read_parquet(RESULTS / folder / "episodes.parquet", columns=columns).merge(keys, on="cell")
+    path = RESULTS / folder / "episodes.parquet"
+    wanted = ["cell", "traffic", "scenario", "crashed", "crash_time", "crash_type", "actions"]
+    there = pq.read_schema(path).names  # earlier studies have no actions
+    drives = pd.read_parquet(path, columns=[name for name in wanted if name in there]).merge(keys, on="cell")
     return chosen(drives, kind=("agent", "baseline"))
 
 
@@ -253,30 +256,6 @@ def effect(
     return number(found, scale, kind.digits, unit)
 
 
-def change(folder: str, outcome: str, traffic: str, scope: str) -> str:
-    """A cell of a table: control→treatment, and the difference ("38→34: **−4** [−7, −1]")."""
-    row = row_of(folder, outcome, traffic, scope)
-    scale, digits = (100, 0) if OUTCOMES[outcome].percent else (1, 1)
-    levels = "→".join(f"{scale * row[name]:.{digits}f}" for name in ("mean_against", "mean_arm"))
-    return f"{levels}: {bold(row, scale, 1 if scope == ALL else digits)}"
-
-
-def rates(folder: str, traffic: str, scope: str, arms: Sequence[str]) -> str:
-    """Cells of a table: crash rates of control and of arms in per cent, bold where the arm differs ("21 | **15**")."""
-    rows = [row_of(folder, "crashed", traffic, scope, arm) for arm in arms]
-    marks = ["**" if row["low"] > 0 or row["high"] < 0 else "" for row in rows]
-    cells = [f"{mark}{100 * row['mean_arm']:.0f}{mark}" for row, mark in zip(rows, marks, strict=True)]
-    return " | ".join([f"{100 * rows[0]['mean_against']:.0f}", *cells])
-
-
-def bold(row: dict[str, Any], scale: float, digits: int) -> str:
-    """An effect and its interval, bold where the interval excludes 0."""
-    mark = "**" if row["low"] > 0 or row["high"] < 0 else ""
-    numbers = [round(row[name] * scale, digits) for name in ("estimate", "low", "high")]
-    point, low, high = (f"{x:+.{digits}f}".replace("-", "−") if x or mark else "0" for x in numbers)
-    return f"{mark}{point}{mark} [{low}, {high}]".replace(" ", NO_BREAK)
-
-
 @cache
 def policies(folder: str) -> pd.DataFrame:
     """Means of every policy in every setting and traffic, with `who`: its arm, or its name if it does not learn."""
@@ -300,12 +279,6 @@ def who_drives(folder: str) -> dict[str, str]:
     return tables.who_drives(policies(folder))
 
 
-def more_crashes(folder: str, arm: str, traffic: str, scope: str) -> str:
-    """How many points more often than control agents those of an arm crash, without its sign: "27"."""
-    both = [mean_of(folder, "crashed", who, traffic, scope) for who in (arm, "control")]
-    return plain(100 * (both[0] - both[1]), 0)
-
-
 def returns(folder: str, who: str | Sequence[str], traffic: str) -> str:
     """The cells of a table's line: return and crash rate in the lightest setting of each task, "18.67 (.04) | ...".
 
@@ -327,7 +300,7 @@ def decided(folder: str, arm: str, traffic: str, fewer: bool = True) -> Count:
     return count((rows["p_adjusted"] < 0.05) & ((rows["estimate"] < 0) == fewer))
 
 
-def row(folder: str, table: str, **values: str) -> dict[str, Any]:
+def row(folder: str, table: str, **values: str | int) -> dict[str, Any]:
     """The one row of a table of the analysis (claims, placebo, price, learner) that has these values."""
     rows = chosen(getattr(analysis(folder), table), **values)
     if len(rows) != 1:
@@ -349,6 +322,81 @@ def is_published(folder: str) -> bool:
     return (RESULTS / folder / "analysis.json").is_file()
 
 
+# -- task by task -----------------------------------------------------------------------------------------------------
+
+
+def markdown(frame: pd.DataFrame) -> str:
+    """A frame of text as a table."""
+    head, *lines = (
+        f"| {' | '.join(map(str, line))} |" for line in [[*frame.columns], *frame.fillna("").values.tolist()]
+    )
+    return "\n".join([head, "|" + "---|" * frame.shape[1], *lines])
+
+
+def task_table(folder: str, away: bool = False, columns: Sequence[str] = tuple(COLUMNS)) -> str:
+    """The report's table of tasks: at home, or (away) without events and on another simulator."""
+    home = analysis(folder).effects["backend"].iloc[0]
+    found = by_task.by_task(analysis(folder), home, away=away, columns=columns, between=": ")
+    return markdown(found).replace(" → ", "→")
+
+
+def means_table(folder: str) -> str:
+    """The report's table of the mean over tasks, and without each task in turn."""
+    return markdown(by_task.means_of_tasks(analysis(folder), analysis(folder).effects["backend"].iloc[0]))
+
+
+def change(folder: str, outcome: str, traffic: str, task: str, interval: bool = False) -> str:
+    """A cell of a short table: control→treated, in bold where they differ ("38→**34**"), with their difference and its
+    interval if asked for ("38→34: **−4.2** [−7.2, −1.1]").
+    """
+    found = row(
+        folder, "by_task", scope=task, outcome=outcome, traffic=traffic, arm="treatment", tested_on="sumo"
+    )
+    scale, digits = (100 if COLUMNS[outcome].percent else 1), int(outcome == "mean_speed")
+    control, treated = (plain(scale * found[name], digits) for name in ("mean_against", "mean_arm"))
+    if interval:
+        difference = number(found, unit="")
+        return f"{control}→{treated}: {difference.marked} {difference.interval}"
+    return f"{control}→**{treated}**" if by_task.differs(found) else f"{control}→{treated}"
+
+
+def share_of(folder: str, outcome: str, traffic: str, task: str, who: str = "treatment") -> str:
+    """A share of control or treated agents in a task in per cent: "57"."""
+    found = row(
+        folder, "by_task", scope=task, outcome=outcome, traffic=traffic, arm="treatment", tested_on="sumo"
+    )
+    return plain(100 * found["mean_against" if who == "control" else "mean_arm"], 0)
+
+
+def mean_elsewhere(folder: str, traffic: str, scope: str = ALL, tested_on: str = "sumo") -> Number:
+    """Crash rate of treated minus control agents, in any traffic and on any simulator that they were tested in."""
+    wanted = {"scope": scope, "traffic": traffic, "tested_on": tested_on, "outcome": "crashed"}
+    return number(row(folder, "by_task", arm="treatment", **wanted))
+
+
+def without_pair(folder: str, against: str, traffic: str, task: str, seed: int) -> Number:
+    """A bound of the plan over all tasks without one pair of agents; `low` and `high` are one-sided."""
+    found = row(folder, "influence", against=against, term=traffic, left_task=task, left_seed=seed)
+    return number(found)
+
+
+def opening(folder: str, setting: str, traffic: str, arm: str, action: int, steps: int) -> str:
+    """In how many per cent of the episodes an agent chooses an action in its first steps: "99"."""
+    actions = drives(folder, setting, traffic, arm)["actions"].str[:steps]
+    return plain(100 * float(actions.str.contains(str(action)).mean()), 0)
+
+
+def kinds_of_crash(folder: str, setting: str, traffic: str, arm: str, kind: str) -> str:
+    """In how many per cent of the episodes there is a crash of a kind ("frontal"): "45"."""
+    return plain(100 * float((drives(folder, setting, traffic, arm)["crash_type"] == kind).mean()), 0)
+
+
+def paper(folder: str) -> dict[str, int]:
+    """In how many settings the paper's measure, the return summed over both traffics, is right, wrong and open."""
+    found = row(folder, "claims", name="return rises", quantity="sum")
+    return {name: int(found[name]) for name in ("right", "wrong", "open")}
+
+
 # -- the agents of a study ---------------------------------------------------------------------------------------------
 
 
@@ -361,6 +409,14 @@ def agents(folder: str, arms: Sequence[str] = (), scope: str = ALL) -> pd.DataFr
 def passing(folder: str, arms: Sequence[str] = ("control", "treatment"), scope: str = ALL) -> Count:
     """How many agents pass every gate."""
     return count(agents(folder, arms, scope)["passed"].eq(True))
+
+
+def passing_where(folder: str) -> str:
+    """How many agents pass every gate, and where they fail: "157 of 195 (7 of 15 on two-way 5+2, ...)"."""
+    found = by_task.failing(agents(folder, ["control", "treatment", "mixed"]))
+    parts = [f"{passed} of {of} on {name}" for name, (passed, of) in found["named"].items()]
+    parts.append(f"{found['rest'][0]} of {found['rest'][1]} elsewhere")
+    return f"{found['passed']} of {found['of']} ({', '.join(parts)})"
 
 
 def failing(folder: str, gate: str, arms: Sequence[str] = (), scope: str = ALL) -> Count:
@@ -385,23 +441,6 @@ def late_crashes(folder: str, setting: str, arm: str = "treatment", traffic: str
     """How many of the crashes come in the last second of the test."""
     crashes = drives(folder, setting, traffic, arm).query("crashed")
     return count(crashes["crash_time"] > crashes["seconds"] - 1.0)
-
-
-def entering(folder: str, setting: str, traffic: str, arm: str) -> str:
-    """In how many per cent of the episodes the ego gets into the roundabout or intersection: "28"."""
-    way = drives(folder, setting, traffic, arm)["distance"]
-    return plain(100 * float((way >= CROSSINGS[setting.split()[0]]).mean()), 0)
-
-
-def with_noise_of_episodes(folder: str, setting: str, traffic: str) -> Number:
-    """The effect on the crash rate with an interval over scenarios alone, as if agents were all alike."""
-    rates = [
-        drives(folder, setting, traffic, arm).groupby("scenario")["crashed"].mean()
-        for arm in ("treatment", "control")
-    ]
-    differences = 100 * (rates[0] - rates[1])
-    half = stats.t.ppf(0.975, len(differences) - 1) * differences.sem()
-    return Number(differences.mean(), differences.mean() - half, differences.mean() + half)
 
 
 # -- tables beside the studies -----------------------------------------------------------------------------------------
@@ -494,10 +533,10 @@ def road_units(task: str, unit: str, digits: int) -> str:
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    avoidable, change, checks, corruptions, decided, effect, entering, failing, is_published,
-    late_crashes, missed, more_crashes, other_learners, passing, planner_scenarios, price, rate, rates,
-     returns, road_units, row, settings, tasks, validation, variant,
-    who_drives, with_noise_of_episodes,
+    avoidable, change, checks, corruptions, decided, effect, failing, is_published, kinds_of_crash, late_crashes,
+    mean_elsewhere, means_table, missed, opening, other_learners, paper, passing, passing_where, planner_scenarios,
+    price, rate, returns, road_units, row, settings, share_of, task_table, tasks, validation, variant, who_drives,
+    without_pair,
 ]  # fmt: skip
 
 

@@ -2,8 +2,12 @@
 
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0:risky:17
+    python experiments/replay.py CASE --policy    # the agent itself drives again
     python experiments/replay.py CASE --sumo      # a folder with episode.sumocfg, for sumo and sumo-gui
     python experiments/replay.py CASE --avoid     # until when could its crash have been avoided, and a film of both
+
+Where an episode is stored with its actions, these are played: this checks the simulator, and not the agent. --policy
+drives the agent from its weights (in the folder, or published in agents.npz) and compares its actions too.
 
 --avoid tries every sequence of --horizon actions from each policy step before the contact, in copies of the episode
 with its own future: an upper bound of what a driver could do. Avoided means no contact for 5 s, or until the episode
@@ -54,6 +58,8 @@ class Options:
     """File (or folder) to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory."""
     sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write a folder that sumo and sumo-gui open instead of a film (GIF): network, vehicles and the ego's way."""
+    policy: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Drive the agent itself instead of the actions that it chose then."""
     avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Search for actions that would have avoided the crash; writes CASE-avoided.gif."""
     code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME", help_behavior_hint="")] = None
@@ -96,6 +102,8 @@ def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
         raise UserError(f"--horizon is at least 1, not {options.horizon}")
     if options.avoid and options.sumo:
         raise UserError("--avoid writes a film of its own: leave out --sumo")
+    if options.avoid and options.policy:
+        raise UserError("--avoid searches from the stored actions: leave out --policy")
     if not options.sumo:
         check_film(options.out, ".gif")
     case = parse_case(options.case, options.code)
@@ -107,7 +115,7 @@ def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
 def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Play an episode and write what was asked for; 1 if it came out differently."""
     film = None if options.sumo else Film(env)
-    row = play_again(case, env, film.frame if film else None)
+    row = play_again(case, env, film.frame if film else None, options.policy)
     path = options.out or Path(f"{case.name}.gif" if film else case.name)
     if film:
         save_gif(film.pictures, path)
@@ -124,7 +132,15 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
         changed = ", ".join(changed_versions(case.record)) or "no version"
         print(f"error: not reproduced: {'; '.join(wrong)}; since then changed: {changed}", file=sys.stderr)
         return 1
-    print("reproduced: every stored number came out the same")
+    stored = isinstance(case.row.get("actions"), str)
+    if options.policy and stored:
+        print("reproduced: the agent chose the stored actions, and every stored number came out the same")
+    elif options.policy or not stored:
+        print("reproduced: every stored number came out the same")
+    else:
+        print(
+            "reproduced from the stored actions: every number came out the same (--policy drives the agent itself)"
+        )
     return 0
 
 

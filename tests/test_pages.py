@@ -16,7 +16,6 @@ from statistics import fmean
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from scipy.stats import ttest_rel
 from statsmodels.stats.proportion import proportion_confint
 
 from docs import pages
@@ -54,7 +53,7 @@ def test_all_lines_of_a_table_have_as_many_cells(page: Path) -> None:
 def test_tables_follow_the_settings_of_a_folder() -> None:
     names = [f"{task} {level}" for task, definition in TASKS.items() for level in definition.levels]
     assert pages.settings("standard") == names and set(pages.settings("second")) < set(names)
-    assert all(pages.change("standard", "crashed", "regular", name) for name in names)
+    assert all(effect("standard", "crashed", "regular", name).estimate for name in names)
 
 
 def test_an_effect_that_is_not_stored_is_an_error() -> None:
@@ -151,14 +150,67 @@ def test_speed_and_rates_are_the_agents_means() -> None:
         rate("standard", "control", "risky", digits=6)
         == f"{100 * mean('standard', 'crashed', 'control', 'risky'):.6f}"
     )
-    control, treated = (
-        100 * mean("second", "crashed", arm, "risky", ["roundabout 5"]) for arm in ("control", "treatment")
+
+
+def test_the_tables_of_tasks_are_the_agents_means() -> None:
+    """All columns, in both traffics and elsewhere, in the cells of the pages."""
+    head, _, *lines = pages.task_table("second").splitlines()
+    columns = [cell.strip() for cell in head.strip("|").split("|")]
+    for line in lines:
+        cells = dict(zip(columns, (cell.strip() for cell in line.strip("|").split("|")), strict=True))
+        task = cells["task"]
+        wanted = [
+            setting for setting, arm in agents("second") if arm == "control" and setting.split()[0] == task
+        ]
+        control, treated = (
+            {
+                name: 100 * mean("second", name, arm, cells["traffic"], wanted)
+                for name in ("crashed", "mean_speed")
+            }
+            for arm in BOTH
+        )
+        for title, name, scale in (("crashes [%]", "crashed", 1.0), ("speed [m/s]", "mean_speed", 0.01)):
+            shown = [float(value) for value in cells[title].partition(":")[0].split("→")]
+            assert shown == pytest.approx([scale * control[name], scale * treated[name]], abs=0.0501)
+        short = pages.change("second", "crashed", cells["traffic"], task, interval=True)
+        shown = [float(value) for value in short.partition(":")[0].split("→")]
+        assert shown == pytest.approx([control["crashed"], treated["crashed"]], abs=0.501)
+        assert (CROSSINGS.get(task) is None) == (cells["enters [%]"] == "–")
+        if task in CROSSINGS:
+            entered = [
+                fmean(
+                    (rows["distance"] >= CROSSINGS[task]).mean()
+                    for rows in drives("second", setting, "treatment", cells["traffic"])
+                )
+                for setting in wanted
+            ]
+            assert f"→{100 * fmean(entered):.0f}:" in cells["enters [%]"]
+            assert (
+                pages.share_of("second", "entered", cells["traffic"], task) == f"{100 * fmean(entered):.0f}"
+            )
+    assert len(lines) == 2 * len(TASKS)
+    assert len(pages.task_table("second", away=True).splitlines()) == 2 + 3 * len(TASKS)
+    assert len(pages.means_table("second").splitlines()) == 2 + 1 + len(TASKS)
+
+
+def test_how_an_agent_opens_is_counted_from_its_stored_actions() -> None:
+    opened = frontal = episodes = 0
+    stored = pd.read_parquet(
+        RESULTS / "second" / "episodes.parquet", columns=["cell", "traffic", "actions", "crash_type"]
     )
-    cell = pages.change("second", "crashed", "risky", "roundabout 5")
-    assert cell.startswith(f"{control:.0f}→{treated:.0f}: **−{control - treated:.0f}**")
-    assert (
-        pages.rates("second", "risky", "roundabout 5", ["treatment"]) == f"{control:.0f} | **{treated:.0f}**"
-    )
+    names = [
+        name
+        for name in stored["cell"].unique()
+        if re.match(r"sumo-two-way-5\+2-control-s\d+-[0-9a-f]{12}$", name)
+    ]
+    for row in stored[stored["cell"].isin(names) & (stored["traffic"] == "regular")].to_dict("records"):
+        opened += "0" in row["actions"][:2]
+        frontal += row["crash_type"] == "frontal"
+        episodes += 1
+    assert episodes == 2000
+    setting = ("second", "two-way 5+2", "regular", "control")
+    assert pages.opening(*setting, 0, 2) == f"{100 * opened / episodes:.0f}"
+    assert pages.kinds_of_crash(*setting, "frontal") == f"{100 * frontal / episodes:.0f}"
 
 
 @pytest.mark.parametrize("arm", ["dense", "dose25", "dose50", "dose75"])
@@ -187,25 +239,6 @@ def test_late_crashes_are_counted(folder: str, setting: str, arm: str) -> None:
             crashes += crashed
             late += crashed and time > {"u-turn": 10, "roundabout": 11}[setting.split()[0]] - 1
     assert pages.late_crashes(folder, setting, arm) == pages.Count(late, crashes)
-
-
-def test_the_share_that_enters_the_roundabout() -> None:
-    rows = pd.concat(drives("second", "roundabout 15", "treatment", "regular"))
-    entered = sum(way >= CROSSINGS["roundabout"] for way in rows["distance"])
-    assert (
-        pages.entering("second", "roundabout 15", "regular", "treatment")
-        == f"{100 * entered / len(rows):.0f}"
-    )
-
-
-def test_an_interval_over_scenarios_alone_is_that_of_a_paired_t_test() -> None:
-    treated, control = (
-        pd.concat(drives("second", "highway 150", arm, "regular")).groupby("scenario")["crashed"].mean()
-        for arm in ("treatment", "control")
-    )
-    expected = ttest_rel(treated, control).confidence_interval()
-    found = pages.with_noise_of_episodes("second", "highway 150", "regular")
-    assert (found.low, found.high) == pytest.approx((100 * expected.low, 100 * expected.high))
 
 
 def test_shares_of_avoidable_crashes_have_wilsons_intervals() -> None:

@@ -22,7 +22,7 @@ from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA, Plan, plan_of
 from experiments.analysis.scores import with_outcomes
-from experiments.reporting import figures, tables
+from experiments.reporting import by_task, figures, tables
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
 from experiments.study.design.arms import ARMS, DOSE_ARMS
@@ -92,6 +92,9 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
         "paces": paces(chosen(analysis.policies, backend=name)),
+        "tasks": by_task.by_task(analysis, name),
+        "away": by_task.by_task(analysis, name, away=True),
+        "means": by_task.means_of_tasks(analysis, name),
         **{part: make(analysis, name) for part, make in tables.TABLES.items()},
         "placebo": chosen(analysis.placebo, backend=name).to_dict("records"),
     }
@@ -115,7 +118,7 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
     """What holds in which task and where, how many settings are on which side, and what limits it."""
     risky = mean(analysis, name, "crashed", "risky")
     single = chosen(main(analysis.effects, name), outcome="crashed", term=list(TRAFFICS))
-    asked = tables.places(analysis, name)
+    asked = by_task.places(analysis, name)
     plan = plan_of(analysis.provenance["presets"])
     own = chosen(analysis.gates, backend=name, arm=list(plan.arms))
     return {
@@ -126,12 +129,12 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "where": [
             {
                 **{"words": words, "simulator": place[0], "traffic": place[1]},
-                **{column: tables.sides(analysis, name, column, place) for column in COLUMNS},
+                **{column: by_task.sides(analysis, name, column, place) for column in COLUMNS},
             }
             for place, words in asked.items()
         ],
-        "failing": tables.failing(own),
-        "hopeless": tables.hopeless(analysis, name),
+        "failing": by_task.failing(own),
+        "hopeless": by_task.hopeless(analysis, name),
         "missing": missing(single, plan),
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
         **sides(single),
@@ -173,7 +176,7 @@ def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
         "limits": {task: rows.to_dict("records") for task, rows in bounds.groupby("scope", sort=False)},
         "settings": len(single.drop_duplicates(["task", "level"])),
         **sides(single),
-        "tasks": tables.by_task(analysis, name, "mixed", columns=("crashed", "mean_speed")),
+        "tasks": by_task.by_task(analysis, name, "mixed", columns=("crashed", "mean_speed")),
     }
 
 

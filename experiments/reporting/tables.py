@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.analysis import Analysis
-from experiments.analysis.by_task import COLUMNS, OWN
+from experiments.analysis.by_task import OWN
 from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES
@@ -41,15 +41,6 @@ WHO_DRIVES = {  # by the fourth plan: one agent, or two together
 }
 UNITS = {"mean_speed": " m/s", "crash_free_time": " s"}
 KINDS = OUTCOMES | OWN | {"crashes_per_100_km": replace(OUTCOMES["crashes_per_100_km"], digits=0)}
-TITLES = {  # of the columns of `by_task.COLUMNS`
-    "crashed": "crashes [%]",
-    "crashes_per_100_km": "crashes per 100 km",
-    "hard_crash": "at 10 m/s or more [%]",
-    "mean_speed": "speed [m/s]",
-    "return": "return",
-    "entered": "enters [%]",
-}
-WITHOUT_EVENTS = "only-parameters"
 
 
 def plain(value: float | None, digits: int, signed: bool = False) -> str:
@@ -147,124 +138,6 @@ def rates(row: Mapping[str, Any]) -> dict[str, str]:
         return {f"m/s in {row['term']} traffic": pair}
     second = " " * (row["term"] == "regular")  # two columns of one name
     return {f"crashes in {row['term']} traffic": pair, f"difference{second}": effect(row)}
-
-
-def places(analysis: Analysis, backend: str) -> dict[tuple[str, str], str]:
-    """Where both arms are tested, as (simulator, traffic), and the words for it: at home, without events, elsewhere."""
-    rows = chosen(analysis.by_task, backend=backend, arm="treatment")
-    known = {(backend, traffic): f"{traffic} traffic" for traffic in reversed(TRAFFICS)}
-    known[backend, WITHOUT_EVENTS] = "risky drivers, no events"
-    for other in [name for name in BACKENDS if name != backend]:
-        physics = BACKENDS[other].removesuffix(" (replica)")
-        known |= {(other, traffic): f"{traffic} traffic on {physics}" for traffic in reversed(TRAFFICS)}
-    there = {*zip(rows["tested_on"], rows["traffic"], strict=True)}
-    return {place: words for place, words in known.items() if place in there}
-
-
-def differs(row: Mapping[str, Any]) -> bool:
-    """Whether an interval excludes 0."""
-    return bool(row["low"] > 0 or row["high"] < 0)
-
-
-def both_arms(row: Mapping[str, Any], between: str = "\n") -> str:
-    """Control, the arm and their difference with its interval: "38.4 → 34.2", and below it "−4.2 [−7.2, −1.1]"."""
-    levels = " → ".join(
-        points(row[side], row["outcome"], signed=False) for side in ("mean_against", "mean_arm")
-    )
-    return levels + between + effect(row, row["outcome"])
-
-
-def by_task(
-    analysis: Analysis,
-    backend: str,
-    arm: str = "treatment",
-    away: bool = False,
-    columns: Sequence[str] = tuple(COLUMNS),
-    between: str = "\n",
-) -> pd.DataFrame:
-    """Every task in both traffics, one below the other, in all columns.
-
-    Args:
-        away: instead among risky drivers that cause no events, and on other simulators.
-    """
-    where = places(analysis, backend)
-    asked = list(where)[2:] if away else list(where)[:2]
-    rows = chosen(analysis.by_task, backend=backend, arm=arm, against="control", scope=list(TASK_ORDER))
-    lines = []
-    for task, own in rows.groupby("scope", sort=False):
-        for simulator, traffic in asked:
-            values = chosen(own, tested_on=simulator, traffic=traffic).set_index("outcome", drop=False)
-            cells = {
-                TITLES[name]: both_arms(values.loc[name], between) if name in values.index else NONE
-                for name in columns
-            }
-            lines.append(
-                {"task": task, "traffic": where[simulator, traffic].removesuffix(" traffic"), **cells}
-            )
-    return pd.DataFrame(lines)
-
-
-def means_of_tasks(analysis: Analysis, backend: str, arm: str = "treatment") -> pd.DataFrame:
-    """The difference in the crash rate as a mean over tasks, and without each task in turn."""
-    where = places(analysis, backend)
-    scopes = [ALL_TASKS, *(f"without {task}" for task in TASK_ORDER)]
-    rows = chosen(
-        analysis.by_task, backend=backend, arm=arm, against="control", outcome="crashed", scope=scopes
-    )
-    if rows["scope"].nunique() < 3:
-        return pd.DataFrame()  # of one task there is no mean
-    keys = zip(rows["tested_on"], rows["traffic"], strict=True)
-    rows = rows.assign(where=[where.get(key, "") for key in keys], mean=rows["scope"])
-    rows = rows[rows["where"] != ""]
-    order = {name: number for number, name in enumerate((*scopes, *where.values()))}
-    rows = rows.sort_values(["scope", "where"], key=lambda column: column.map(order))
-    return wide(rows, ["mean"], lambda row: {f"{row['where']} [points]": effect(row)})
-
-
-def sides(
-    analysis: Analysis, backend: str, outcome: str, place: tuple[str, str], arm: str = "treatment"
-) -> dict[str, list[str]]:
-    """The tasks in which an arm has "less" or "more" of an outcome than control, or it is "open" (95 % intervals)."""
-    rows = chosen(analysis.by_task, backend=backend, arm=arm, against="control", scope=list(TASK_ORDER))
-    rows = chosen(rows, outcome=outcome, tested_on=place[0], traffic=place[1])
-    found: dict[str, list[str]] = {"less": [], "more": [], "open": []}
-    for row in rows.to_dict("records"):
-        found["open" if not differs(row) else "less" if row["high"] < 0 else "more"].append(row["scope"])
-    return found
-
-
-def hopeless(analysis: Analysis, backend: str, least: float = 0.8) -> dict[str, float]:
-    """Settings in which every driver that does not learn crashes in at least this share of the regular episodes.
-
-    Returns:
-        The smallest share, by setting.
-    """
-    rows = with_setting(chosen(analysis.policies, backend=backend, arm="", traffic="regular"))
-    smallest = rows.groupby("setting", sort=False)["crashed"].min()
-    return {str(name): float(share) for name, share in smallest[smallest >= least].items()}
-
-
-def failing(gates: pd.DataFrame, least: float = 2 / 3) -> dict[str, Any]:
-    """Where agents fail the gates: settings in which fewer pass than `least`, and all others together.
-
-    Args:
-        gates: of the agents, as in the analysis.
-
-    Returns:
-        passed and of (all agents), named (by setting the two numbers), rest (of all other settings).
-    """
-    rows = with_setting(gates)
-    numbers = (
-        rows.assign(ok=rows["passed"].eq(True)).groupby("setting", sort=False)["ok"].agg(["sum", "size"])
-    )
-    few = numbers["sum"] < least * numbers["size"]
-    rest = numbers[~few].sum()
-    return {
-        "passed": int(numbers["sum"].sum()),
-        "of": len(rows),
-        "named": {str(name): (int(row["sum"]), int(row["size"])) for name, row in numbers[few].iterrows()},
-        "rest": (int(rest["sum"]), int(rest["size"])),
-    }
 
 
 def careful(analysis: Analysis, backend: str) -> pd.DataFrame:
@@ -450,9 +323,6 @@ def frontier(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 
 TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulator, by the templates' names
-    "tasks": by_task,
-    "away": partial(by_task, away=True),
-    "means": means_of_tasks,
     "careful": careful,
     "price": price,
     "pairs": pairs,

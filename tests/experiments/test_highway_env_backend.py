@@ -6,6 +6,8 @@ import copy
 from dataclasses import replace
 from typing import Any
 
+import gymnasium as gym
+import highway_env
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
@@ -168,3 +170,39 @@ def test_configuration() -> None:
         make("roundabout", variant="conected")
     with pytest.raises(ValueError, match="action must be one of"):
         env.step(9)
+
+
+# -- what kind of task the two-way road is ---------------------------------------------------------------------------
+
+
+def crashes(env: Any, action: int, scenarios: int, steps: int) -> int:
+    """In how many episodes an action that is always chosen ends in a crash."""
+    found = 0
+    for seed in range(scenarios):
+        env.reset(seed=seed)
+        for _ in range(steps):
+            *_, terminated, truncated, info = env.step(action)
+            if terminated or truncated:
+                break
+        found += info["crashed"]
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("simulator", ["sumo", "highway-env", "stock"])
+def test_on_the_two_way_road_every_constant_action_crashes(simulator: str) -> None:
+    """README and docs/study.md: in 30 of 30 regular episodes, SLOWER too; "stock" is highway-env's two-way-v0 itself.
+
+    The stock task has no time limit, so that it gets the 15 s of ours.
+    """
+    if simulator == "stock":
+        gym.register_envs(highway_env)
+        env: Any = gym.make("two-way-v0", config={"policy_frequency": 1})
+    else:
+        env = make_env(simulator, "two-way")
+    names = env.unwrapped.action_type.actions if simulator == "stock" else env.unwrapped.actions
+    assert names[4] == "SLOWER" and len(names) == 5
+    assert {name: crashes(env, action, 30, 15) for action, name in names.items()} == dict.fromkeys(
+        names.values(), 30
+    )
+    env.close()

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
 
 from experiments.replay import Options, parse_case, replay
-from experiments.study.replaying.rerun import Case, play_again
+from experiments.study.design import grid
+from experiments.study.replaying.rerun import Case, differences, play_again
 from experiments.study.results import store
 from experiments.study.results.store import find_cell
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env, make_other_env
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +50,35 @@ def test_an_episode_is_reproduced(cells, case, tmp_path, capsys):
         assert replay(Options(f"{cell}{case}", out=film), make_env) == 0
         assert "reproduced" in capsys.readouterr().out
         assert Image.open(film).size == (60, 20)
+
+
+def test_the_policy_itself_drives_and_its_actions_are_compared(cells, tmp_path, capsys):
+    """Not the actions that it once chose, which say nothing about the agent."""
+    for number, cell in enumerate(cells):
+        options = Options(f"{cell}:risky:1", out=tmp_path / f"{number}.gif")
+        assert replay(options, make_env) == 0
+        assert "from the stored actions" in capsys.readouterr().out
+        assert replay(replace(options, policy=True), make_env) == 0
+        assert "the agent chose the stored actions" in capsys.readouterr().out
+    case = parse_case(f"{cells[0]}:risky:1")
+    others = "0" if case.row["actions"][0] != "0" else "1"
+    wrong = replace(case, row={**case.row, "actions": others + case.row["actions"][1:]})
+    driven = play_again(wrong, make_env(*grid.tested_on(case.record["key"])), closed_loop=True)
+    assert driven["actions"] == case.row["actions"]
+    assert differences(wrong.row, driven) == [
+        f"actions {case.row['actions']} instead of {wrong.row['actions']}"
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "agent", ["second/cells/sumo-u-turn-3-treatment-s100", "pairs/cells/sumo-u-turn-3-control-s205"]
+)
+def test_a_published_agent_drives_its_stored_episode_again(agent, tmp_path, capsys):
+    """From results/agents.npz, and from the folder's own file in half precision."""
+    case = f"{ROOT}/results/{agent}:risky:{1001 if 'second' in agent else 2001}"
+    assert replay(Options(case, out=tmp_path / "film.gif", policy=True)) == 0
+    assert "the agent chose the stored actions" in capsys.readouterr().out
 
 
 def by_backend(backend, *arguments):
@@ -129,6 +162,7 @@ def test_an_episode_is_exported_for_sumo(cells, tmp_path, capsys):
         ("{safe}", {}, "has no crash that could be avoided"),
         ("{safe}", {"sumo": True}, "--avoid writes a film of its own"),
         ("{safe}", {"horizon": 0}, "at least 1, not 0"),
+        ("{safe}", {"policy": True}, "leave out --policy"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(cells, text, options, message, tmp_path):

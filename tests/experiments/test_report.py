@@ -17,7 +17,8 @@ from experiments.analysis.analysis import DESCRIPTIVE, analyse, policies, stored
 from experiments.analysis.effects import means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
-from experiments.reporting.tables import both_arms, difference, effect, main
+from experiments.reporting.by_task import both_arms
+from experiments.reporting.tables import difference, effect, main
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
@@ -143,9 +144,7 @@ class TestAnswer:
         )
         assert (rows.query("traffic == 'risky'")["high"] < 0).all()  # as planted
         first = text.splitlines()[0]
-        assert first.startswith(
-            "In risky traffic treated agents: fewer crashes in every task. In regular"
-        )
+        assert first.startswith("In risky traffic treated agents: fewer crashes in every task. In regular")
         assert first in page
         regular = rows.query("traffic == 'regular'")
         assert ((regular["low"] < 0) & (regular["high"] > 0)).all()

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
+from agents import pretrained
 from agents.rules.constant import Constant
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.policies import driver
@@ -16,6 +17,9 @@ from experiments.study.design import grid
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
+
+if TYPE_CHECKING:
+    from agents.greedy import Greedy
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,11 @@ class Case:
 
 
 def play_again(
-    case: Case, env: gym.Env[Any, Any], on_step: Callable[[], None] | None = None
+    case: Case, env: gym.Env[Any, Any], on_step: Callable[[], None] | None = None, closed_loop: bool = False
 ) -> dict[str, Any]:
     """Play a test episode again and return its row of `evaluate.COLUMNS`.
 
-    env: of its test, see `grid.tested_on`.
+    env: of its test, see `grid.tested_on`. closed_loop: drive the policy itself also where the actions are stored.
 
     Raises:
         UserError: the weights are not here, code is needed that is not named, or one of them does not fit.
@@ -52,21 +56,34 @@ def play_again(
     key, actions = case.record["key"], case.row.get("actions")
     weights = None
     drive = Drive(key["task"], key["level"], str(case.row["traffic"]), int(case.row["scenario"]))
-    if isinstance(actions, str) and actions:
+    if isinstance(actions, str) and actions and not closed_loop:
         return play(env, Constant(*map(int, actions)), drive, on_step)
     if key["kind"] == "test":
         raise UserError(
-            f"{case.cell} is a further test of an agent, stored without its actions by an earlier version: "
-            "replay the agent's own cell"
+            f"{case.cell} is a further test of an agent, whose stored actions alone can be played: replay the agent's "
+            "own cell"
         )
     if key["kind"] == "agent":
         weights = case.store.weights(case.cell)
+        if weights is None and (policy := published(case)) is not None:
+            return play(env, policy, drive, on_step)
         if weights is None:
             raise UserError(
                 f"the weights of {case.cell} are not here: train it again with the command in sweep.json, "
                 f"--cell {case.cell} and another --out"
             )
     return play(*driver(key, case.code, env, weights), drive, on_step)
+
+
+def published(case: Case) -> Greedy | None:
+    """The agent of a cell from the folder's own file of agents, or that of the repository; None if it is in neither."""
+    for file in (case.store.directory / pretrained.FILE.name, pretrained.FILE):
+        if file.exists():
+            for label, about in pretrained.cards(file).items():
+                if about["cell"] == case.cell:
+                    setting, arm = label.split("/")
+                    return pretrained.load(setting, arm, file)
+    return None
 
 
 def ending(row: Mapping[str, Any]) -> str:

@@ -74,9 +74,9 @@ def by_task(
                 TITLES[name]: both_arms(values.loc[name], between) if name in values.index else NONE
                 for name in columns
             }
-            lines.append(
-                {"task": task, "traffic": where[simulator, traffic].removesuffix(" traffic"), **cells}
-            )
+            words = where[simulator, traffic].removesuffix(" traffic")
+            short = words if simulator == backend else f"{traffic}, {simulator}"
+            lines.append({"task": task, "traffic": short, **cells})
     return pd.DataFrame(lines)
 
 

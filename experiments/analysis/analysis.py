@@ -142,7 +142,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         price=price(effects, plan),
         learner=learner_checks(known.cells, passed, agents, plan),
         frontier=to_frontier(episodes),
-        by_task=by_task(episodes),
+        by_task=by_task(episodes, plan),
         influence=influence(episodes, plan),
     )
 

@@ -15,8 +15,8 @@ import pandas as pd
 from experiments.analysis import estimate, pairs
 from experiments.analysis.effects import COMPARISON, ESTIMATE, MEANS, means
 from experiments.analysis.gates import CROSSINGS
-from experiments.analysis.plan import OUTCOMES, Outcome
-from experiments.analysis.scores import SETTING, in_order
+from experiments.analysis.plan import DEFAULT, OUTCOMES, Outcome, Plan
+from experiments.analysis.scores import SETTING, in_order, once_each
 from experiments.study.design.arms import EVERY_ARM, PAIRS
 
 HARD = 10.0  # closing speed from which a crash is hard [m/s]
@@ -51,11 +51,11 @@ ASKED_OF_PAIRS = [("belief", f"{many}-{arm}") for many in ("two", "one") for arm
 ROW = [*COMPARISON, "scope", "outcome", "traffic", *ESTIMATE, *MEANS, "settings"]
 
 
-def by_task(episodes: pd.DataFrame) -> pd.DataFrame:
+def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     """Differences between arms in all COLUMNS, task by task.
 
     Args:
-        episodes: as from `scores.with_outcomes`, with the columns of OWN.
+        episodes: as from `scores.with_outcomes`, with the columns of OWN. plan: whose settings are averaged.
 
     Returns:
         A row a COMPARISON, scope (a task, "all tasks", "without TASK"; the last two for outcomes that mean the same on
@@ -72,7 +72,10 @@ def by_task(episodes: pd.DataFrame) -> pd.DataFrame:
         return pd.DataFrame(columns=ROW)
     effects = pd.DataFrame(rows).assign(scenarios="own", look=0)
     poolable = effects[effects["outcome"].isin([name for name, one in COLUMNS.items() if one.poolable])]
-    found = [means(effects, outcomes=COLUMNS), means(poolable, leave_one_out=True, outcomes=COLUMNS)]
+    found = [
+        means(effects, plan, outcomes=COLUMNS),
+        means(poolable, plan, leave_one_out=True, outcomes=COLUMNS),
+    ]
     return pd.concat(found, ignore_index=True).rename(columns={"term": "traffic"})[ROW]
 
 
@@ -83,7 +86,7 @@ def _effects(rows: pd.DataFrame, asked: list[tuple[str, str]]) -> Iterator[dict[
     for names, group in in_order(rows, "backend", "task", "level", "seed", "scenario").groupby(
         place, sort=False
     ):
-        arms = {str(arm): own for arm, own in group.groupby("arm", sort=False)}
+        arms = {str(arm): own for arm, own in once_each(group).groupby("arm", sort=False)}
         for arm, against in asked:
             if {arm, against} <= arms.keys():
                 label = {**dict(zip(place, names, strict=True)), "arm": arm, "against": against}

@@ -41,7 +41,8 @@ def units(episodes: pd.DataFrame) -> pd.DataFrame:
     second = agents["seed"] > last
     agents = agents.assign(arm="one-" + agents["arm"], seed=agents["seed"] - second * (last - first + 1))
     unit = [*SETTING, "arm", "traffic", "seed", "scenario"]
-    once_each(rows[rows["kind"] != "baseline"].assign(arm=rows["kind"] + " " + rows["arm"]))
+    trained = rows[rows["kind"] != "baseline"]
+    once_each(trained.assign(arm=trained["kind"] + " " + trained["arm"]))
     both = pd.concat([tests, agents], ignore_index=True)
     numbers = both.select_dtypes(["number", "bool"]).columns.difference(unit)
     means = both.groupby(unit, sort=False)[[*numbers]].mean().reset_index()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.by_task import COLUMNS, OWN, by_task
 from experiments.analysis.effects import ESTIMATE, MEANS
 from experiments.analysis.gates import CROSSINGS
+from experiments.analysis.plan import DEFAULT
 from experiments.analysis.scores import with_outcomes
+from experiments.study.design.sheet import GRID
 from experiments.study.results.store import Results, load
 from tests.experiments import synthetic
 
@@ -129,3 +132,21 @@ def test_without_agents_there_is_no_row(tmp_path: Path) -> None:
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4, arms=())
     nothing: Any = by_task(with_outcomes(load(tmp_path), OWN))
     assert nothing.empty and "traffic" in nothing
+
+
+def test_a_setting_that_the_plan_does_not_name_is_in_no_mean(
+    episodes: pd.DataFrame, table: pd.DataFrame
+) -> None:
+    light = replace(DEFAULT, settings=tuple((task, GRID[task][0]) for task in GRID))
+    rows = by_task(episodes, light).query("arm == 'treatment' and tested_on == 'sumo' and traffic == 'risky'")
+    assert rows.query("scope == 'roundabout' and outcome == 'crashed'")["settings"].tolist() == [1]
+    alone = by_task(episodes[episodes["level"] == 1]).query("scope == 'all tasks' and outcome == 'crashed'")
+    assert (
+        rows.query("scope == 'all tasks' and outcome == 'crashed'")["estimate"].item()
+        in alone["estimate"].tolist()
+    )
+
+
+def test_an_episode_that_is_there_twice_is_an_error(episodes: pd.DataFrame) -> None:
+    with pytest.raises(ValueError, match="twice"):
+        by_task(pd.concat([episodes, episodes[episodes["kind"] == "agent"].head(1)]))

@@ -30,6 +30,7 @@ COMMON: Config = {
 
 MEASURED = "measured"
 DRIVERS = ("highway-env", MEASURED)
+STEP_ERROR = 0.0101  # of SUMO's step: 1 %, and rounding
 STOCK_FREQUENCY = 15  # [Hz] highway-env's ``simulation_frequency``
 
 DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
@@ -249,7 +250,7 @@ def pace(simulation_frequency: int, policy_frequency: int) -> float:
 def ignore(where: str, key: str, hint: str) -> None:
     """Warn, once, that a key has no effect; a list of all keys is no hint."""
     told = f"config key {key!r} has no effect on {where}, as in highway-env"
-    gym.logger.warn(told if hint.startswith("known:") else f"{told}; {hint}")
+    gym.logger.warn("%s", told if hint.startswith("known:") else f"{told}; {hint}")
 
 
 def simulated_frequency(config: Config) -> int:
@@ -258,6 +259,19 @@ def simulated_frequency(config: Config) -> int:
     With longer steps, cars would pass through each other.
     """
     return int(config["simulation_frequency"]) * math.ceil(5 / config["simulation_frequency"])
+
+
+@cache
+def tell_of_steps(frequency: int) -> None:
+    """Warn, once, where SUMO's step, a whole number of milliseconds, is more than 1 % off that of a frequency [Hz]."""
+    step = 1000.0 / frequency
+    error = round(step) / step - 1.0
+    if abs(error) > STEP_ERROR:
+        gym.logger.warn(
+            "%s",
+            f"a 'simulation_frequency' of {frequency} Hz: SUMO's steps are whole milliseconds, {round(step)} and not "
+            f"{step:.2f}, so that its clock and the other vehicles are {error:+.0%} off; choose one that divides 1000",
+        )
 
 
 def _plain(value: Any) -> Any:

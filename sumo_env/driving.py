@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
 from sumo_env.as_highway_env import class_or_instance
-from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, resolve
+from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, resolve, tell_of_steps
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import ending, information, interface, on_its_way
 from sumo_env.networks.roads import LaneIndex
@@ -101,6 +101,8 @@ class DrivingEnv(OnScreen, OwnSumo):
         if offered.action_type.names:
             self._refuse_backwards("'target_speeds'", offered.action_type.target_speeds[0])
         self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
+        if self._is_on_sumo:
+            tell_of_steps(self.task.frequency(changed))
         self._offered = offered
         self.config: Config = changed  # after all checks: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
@@ -114,9 +116,13 @@ class DrivingEnv(OnScreen, OwnSumo):
         self._own_observation = None
         self.observation_space, self.action_space = self._observation_type.space, self._action_type.space
 
+    @property
+    def _is_on_sumo(self) -> bool:
+        return self._given is None or isinstance(self._given, SumoProcess)
+
     def _refuse_backwards(self, what: str, speed: float) -> None:
         """An error if SUMO would have to drive at a negative speed [m/s]."""
-        if (self._given is None or isinstance(self._given, SumoProcess)) and speed < 0.0:
+        if self._is_on_sumo and speed < 0.0:
             raise ConfigError(
                 f"{what}: SUMO's vehicles cannot drive at {speed:g} m/s, because they never drive backwards; "
                 "the environments replica/* can"

@@ -64,7 +64,9 @@ class OwnSumo(ReadAsHighwayEnv):
             self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
         elif self.task.outputs:
             names = ", ".join(name for name, _ in self.task.outputs)
-            gym.logger.warn(f"{self.task.net}: its outputs are off ({names}); output_dir=... writes them")
+            gym.logger.warn(
+                "%s", f"{self.task.net}: its outputs are off ({names}); output_dir=... writes them"
+            )
 
     def export(self, folder: str | Path) -> list[Path]:
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.

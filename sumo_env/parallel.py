@@ -121,7 +121,7 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
             key: value for key, value in (options or {}).items() if key in ("config", "scenario", *VARIED)
         }
         if unknown := (options or {}).keys() - known.keys():  # PettingZoo's own test gives some
-            gym.logger.warn(f"options without effect: {', '.join(sorted(unknown))}")
+            gym.logger.warn("%s", f"options without effect: {', '.join(sorted(unknown))}")
         return self._enter(self._cars.reset(seed, known), [])
 
     def _enter(self, seen: Mapping[int, Seen], staying: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:

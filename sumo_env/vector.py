@@ -161,7 +161,7 @@ class _Ahead(gym.Wrapper[Any, Any, Any, Any]):
         try:
             result = self._result() if self._begun else self.env.step(action)
         except SimulatorDied as died:
-            gym.logger.warn(str(died))
+            gym.logger.warn("%s", died)
             return self._seen, 0.0, False, True, {"worker_died": True}
         self._seen = result[0]
         return result

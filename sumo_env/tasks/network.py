@@ -334,7 +334,7 @@ def _ranges(limit: float) -> dict[str, list[float]]:
 
 @cache
 def _warn_once(message: str) -> None:
-    logger.warn(message)
+    logger.warn("%s", message)  # gymnasium formats what it is given, and ids may have a %
 
 
 def _append(options: dict[str, str], name: str, added: Sequence[Path]) -> None:

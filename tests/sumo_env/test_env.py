@@ -18,7 +18,7 @@ import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from sumo_env.config import COMMON, IGNORED, ConfigError, _meant, ignore
+from sumo_env.config import COMMON, IGNORED, ConfigError, _meant, ignore, tell_of_steps
 from sumo_env.env import DrivingEnv
 from sumo_env.interface import ending
 from sumo_env.scene import Place
@@ -337,3 +337,22 @@ def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:
     highway.reset(seed=0)
     *_, info = highway.step(1)
     assert info["distance"] == pytest.approx(info["speed"], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "is_off"),
+    [(10, False), (15, False), (30, False), (250, False), (60, True), (120, True), (700, True)],
+)
+def test_a_warning_says_where_sumo_s_clock_is_off(frequency: int, is_off: bool) -> None:
+    """More than 1 %, by its whole milliseconds."""
+    tell_of_steps.cache_clear()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        DrivingEnv("two-way", {"simulation_frequency": frequency}).close()
+    assert any("milliseconds" in str(one.message) for one in said) == is_off
+
+
+def test_a_warning_may_have_a_percent_sign() -> None:
+    """Gymnasium formats what it is given, and names of keys, vehicles and files may have one."""
+    with pytest.warns(UserWarning, match="50%d"):
+        ignore("50%d of the cases", "a key", "known: none")

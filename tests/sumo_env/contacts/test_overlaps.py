@@ -131,5 +131,7 @@ def test_an_ego_that_sumo_drives_crashes_where_sumo_reports_it(
         ) as env:
             infos = [result[-1] for result in drive(env, 0, number)]
         assert infos[-1]["crash"].get("detected_by") != "geometry", number
+        way = sum(info["rewards"]["progress_reward"] for info in infos)
+        assert way == pytest.approx(1.0) if infos[-1]["arrived"] else -0.01 <= way < 1.0
         overlaps += any(info["overlap"] for info in infos)
     assert overlaps or kind.__name__ != "junctions"

@@ -301,13 +301,6 @@ def test_the_step_is_the_file_s_or_the_user_s(town: Path) -> None:
     assert env.sumo.simulation.getDeltaT() == pytest.approx(0.1)
 
 
-def test_the_end_of_the_files_ends_no_episode(town: Path) -> None:
-    """It is at 60 s, and traffic goes on."""
-    env = SumoDrivingEnv(town, ego_route=WAY, config={"warm_up": 100, "duration": 20})
-    env.reset(seed=0)
-    assert len(env.scene) > 5
-
-
 # -- options and outputs -----------------------------------------------------------------------------------
 
 

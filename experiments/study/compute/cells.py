@@ -9,9 +9,9 @@ from pathlib import Path
 
 from experiments import backends
 from experiments.study.compute.cell import CellTask, MakeEnv
-from experiments.study.compute.executors import open_executor
+from experiments.study.compute.executors import cores, open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
-from experiments.study.compute.progress import ProgressDisplay, seconds
+from experiments.study.compute.progress import ProgressDisplay, duration, seconds
 from experiments.study.compute.run import run
 from experiments.study.design.grid import Cell
 from experiments.study.results.store import Store
@@ -34,11 +34,14 @@ def compute(
     there = {name for name, task in tasks.items() if task.done()}
     for name in there:  # where a kill left it
         shutil.rmtree(store.work / name, ignore_errors=True)
+    sizes = {cell.name: seconds(cell) for cell in cells}
     print(f"{len(tasks)} cells, {len(there)} of them finished before; results go to {directory}", flush=True)
+    if executor == "local" and (left := sum(size for name, size in sizes.items() if name not in there)):
+        number = workers or cores()
+        print(f"about {duration(left / number)} with {number} processes on a common server", flush=True)
     # highway-env's tasks change class attributes of each other
     simulators = {name for cell in cells for name in (cell.backend, cell.runs_on)}
     per_process = 1 if "highway-env" in simulators else TASKS_PER_PROCESS
-    sizes = {cell.name: seconds(cell) for cell in cells}
     failures: dict[str, str] = {}
     with closing(ProgressDisplay(store.work, sizes, there)) as progress:
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained

@@ -52,7 +52,8 @@ class ProgressDisplay(Observer):
     ) -> None:
         self._work, self._costs, self._kind = work, costs, kind
         self._state = {name: "finished" if name in finished else "waiting" for name in costs}
-        self._begun = self._shown = time.monotonic()
+        self._shown = time.monotonic()
+        self._begun: float | None = None  # when the first of it was done: processes take a while to start
         self._before = self._done()
         self._over = "\r\x1b[K" if sys.stdout.isatty() else ""  # writes over the line that is there
 
@@ -64,6 +65,8 @@ class ProgressDisplay(Observer):
 
     def tick(self) -> None:
         """Show how much is done; without a terminal, now and then."""
+        if self._begun is None and (done := self._done()) > self._before:
+            self._begun, self._before = time.monotonic(), done
         if self._over:
             print(self._over + self._line(), end="", flush=True)
         elif time.monotonic() - self._shown >= EVERY:
@@ -79,7 +82,7 @@ class ProgressDisplay(Observer):
         parts = [f"{counts.pop('finished', 0)}/{len(self._state)} {self._kind}"]
         if total:
             parts.append(f"{100 * done / total:.0f}%")
-        if done > self._before:
+        if self._begun is not None and done > self._before:
             speed = (done - self._before) / (time.monotonic() - self._begun)
             parts.append(f"about {duration((total - done) / speed)} left")
         return ", ".join([*parts, *(f"{number} {state}" for state, number in counts.items())])

@@ -58,7 +58,11 @@ def _of_other_groups(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict
         if name in agents:
             found[name] = _differing(own, reference)
         elif name in main:
-            asked = {n: value for n, value in reference.items() if n.startswith(ENVIRONMENT)}
+            # packages of the learner alone are nothing to a baseline
+            asked = {
+                n: value for n, value in reference.items() if n in own or not n.startswith("version of ")
+            }
+            asked = {n: value for n, value in asked.items() if n.startswith(ENVIRONMENT)}
             found[name] = _differing({n: own[n] for n in own if n.startswith(ENVIRONMENT)}, asked)
         elif not agents or not reference.items() <= own.items():
             found[name] = ALONE

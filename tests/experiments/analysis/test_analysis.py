@@ -286,6 +286,12 @@ def test_baselines_of_another_test_are_left_out(tmp_path: Any) -> None:
     assert all("episodes 10 instead of 20" in reason for reason in left_out.values())
 
 
+def test_a_baseline_is_compared_though_it_has_no_package_of_the_learner(tmp_path: Any) -> None:
+    cells = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2)
+    assert {"numba" in cell.versions for cell in cells} == {True, False}
+    assert comparable(load(tmp_path))[1] == {}
+
+
 def test_presets_are_labels(tmp_path: Any) -> None:
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, preset="quick")
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, preset="paper")

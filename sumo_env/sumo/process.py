@@ -99,7 +99,7 @@ class SumoProcess:
         self._running = name
         if self._host is None:
             here = self._may_be_here and not self._live and _Here.take(name, self._options)
-            if self._may_be_here and not self._live and not here and not self._name:
+            if self._may_be_here and not self._live and not here and name == FILE_SIMULATOR:
                 _warn_of_libsumo()
             options = (LIVE, *self._options) if self._live else self._options
             self._adopt(here or _Worker.start(name, options))
@@ -241,11 +241,15 @@ class SumoProcess:
 
 @cache
 def _warn_of_libsumo() -> None:
-    """Once in a process."""
-    logger.warn(
+    """Once in a process, where people drive files of their own, and never as an error."""
+    told = (
         "this process has several environments on SUMO: calls such as libsumo.vehicle.getSpeed(...) read the first "
         "one; env.unwrapped.sumo.vehicle.getSpeed(...) asks an environment's own SUMO"
     )
+    try:
+        logger.warn(told)
+    except UserWarning:  # by a filter of the user's
+        print(told, file=sys.stderr)
 
 
 def _equal(one: Scene | None, other: Scene | None) -> bool:

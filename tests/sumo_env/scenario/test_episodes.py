@@ -525,16 +525,25 @@ def test_every_environment_s_own_sumo_can_be_asked(town: Path) -> None:
     assert_same(driven(copy.deepcopy(files)), driven(files))
 
 
-def test_one_warning_says_what_libsumo_reads(town: Path) -> None:
+@pytest.mark.parametrize(("filter", "warned"), [("always", 1), ("error", 0)])
+def test_one_warning_says_what_libsumo_reads(
+    town: Path, filter: Any, warned: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where files are of one's own; a filter that makes errors of warnings ends no episode."""
     from sumo_env.sumo import process
 
     process._warn_of_libsumo.cache_clear()
-    envs = [SumoDrivingEnv(town, ego_vehicle="ego") for _ in range(3)]
+    tasks = [DrivingEnv("u-turn") for _ in range(2)]
+    envs = [SumoDrivingEnv(town, ego_vehicle="ego") for _ in range(2)]
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+        warnings.simplefilter(filter)
+        for env in tasks:
+            env.reset(seed=0)
+        assert not caught
         for env in envs:
             env.reset(seed=0)
-    assert sum("read the first" in str(warning.message) for warning in caught) == 1
+    assert sum("read the first" in str(warning.message) for warning in caught) == warned
+    assert ("read the first" in capsys.readouterr().err) == (warned == 0)
 
 
 def test_the_way_gets_shorter(town: Path) -> None:

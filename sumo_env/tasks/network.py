@@ -64,7 +64,7 @@ class NetworkTask(Task):
         "arrived_reward": 5,
         "collision_reward": -10,
         "missed_turn_reward": -5,
-        "red_light_reward": 0,
+        "red_light_reward": -5,
         "high_speed_reward": 0,  # in each policy step
         "red_light_terminal": False,  # whether the episode ends when the ego runs a red light
         "reward_speed_range": None,  # [m/s]; None for half the speed limit to the speed limit

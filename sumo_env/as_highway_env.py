@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import update_wrapper
 from types import MethodType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType as Kind
-from sumo_env.config import Config
+from sumo_env.config import STOCK_FREQUENCY, Config, resolve
 from sumo_env.hints import NEVER_CALLED, missing, page
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.observation import Situation
@@ -64,7 +64,9 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     default_config: Any
     PERCEPTION_DISTANCE = PERCEPTION_DISTANCE  # [m]
+    task: Any
     scenario: Any
+    _is_raised = False  # whether the frequency of the simulation only follows that of the policy
     scene: Scene
     steps: int
     config: dict[str, Any]
@@ -76,6 +78,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     _own_observation: Any = None  # a subclass's
     _road: Road
     _spec_of: dict[str, VehicleSpec]
+    _row_order: np.random.Generator
     _route: tuple[str, ...]
     _target_lane: LaneIndex
     _speed_index: int
@@ -109,6 +112,15 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
             defaults = known.default_config
         return dict(defaults())
 
+    def _resolved(self, config: Mapping[str, Any] | None) -> tuple[Config, bool]:
+        """The configuration with these changes, and whether its `simulation_frequency` is one that nobody asked for."""
+        asked, frequency = {**getattr(self, "config", {})}, "simulation_frequency"
+        if self._is_raised and asked[frequency] == STOCK_FREQUENCY:
+            del asked[frequency]
+        defaults = self._defaults()
+        changed = resolve(self.task.name, defaults, asked, config)
+        return changed, changed[frequency] != {**defaults, **asked, **(config or {})}[frequency]
+
     def _observe(self) -> NDArray[np.float32]:
         if self._own_observation is not None:
             return self._own_observation.observe()
@@ -116,7 +128,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         return seen
 
     def _situation(self) -> Situation:
-        seen = self.scene, self._road, self.ego_state, self._spec_of, self.np_random
+        seen = self.scene, self._road, self.ego_state, self._spec_of, self._row_order
         return Situation(*seen, self.target_speeds, self._route)
 
     @property

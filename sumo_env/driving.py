@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
 from sumo_env.as_highway_env import class_or_instance
-from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, resolve, tell_of_steps
+from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, tell_of_steps
 from sumo_env.contacts.rectangles import state_of
-from sumo_env.interface import ending, information, interface, on_its_way
+from sumo_env.interface import ending, information, interface, on_its_way, paid_late
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.screen import OnScreen
 from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
+from sumo_env.streams import stream
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
@@ -57,7 +58,6 @@ class DrivingEnv(OnScreen, OwnSumo):
     """
 
     cars = 1  # learning cars of the scenario, of which this environment sees one
-    steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
     def __init__(
@@ -78,7 +78,6 @@ class DrivingEnv(OnScreen, OwnSumo):
         self._open(render_mode)
         self._configured: Config | None = None
         self.scenario: Scenario | None = None
-        self._handed_over = False
         self.configure(config)
 
     # -- configuration -------------------------------------------------------------------------------------
@@ -94,7 +93,7 @@ class DrivingEnv(OnScreen, OwnSumo):
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
-        changed = resolve(self.task.name, self._defaults(), getattr(self, "config", None), config)
+        changed, is_raised = self._resolved(config)
         if changed.get("manual_control") and self.render_mode != "human":
             raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)
@@ -105,6 +104,7 @@ class DrivingEnv(OnScreen, OwnSumo):
             tell_of_steps(self.task.frequency(changed))
         self._offered = offered
         self.config: Config = changed  # after all checks: an error leaves the environment as it was
+        self._is_raised = is_raised
         self._configured = copy.deepcopy(changed)
         self.define_spaces()
         self._set_frame_rate()
@@ -163,8 +163,13 @@ class DrivingEnv(OnScreen, OwnSumo):
             self.configure(options.get("config"))
         varied = {part: options[part] for part in VARIED if part in options}
         self._drawn_by = task = self.task.varied(varied) if varied else self.task
+        for part in ("risk_rates", "risk_ranges"):
+            if self.config["risk"] == 0.0 and any(map(np.any, varied.get(part, {}).values())):
+                raise ConfigError(f"options[{part!r}] has no effect at risk 0: set the config key 'risk' too")
+        if (given := options.get("scenario")) is not None:
+            self.task.refuse_foreign(given, self.config)
         try:
-            scenario = options.get("scenario") or self._draw(task)
+            scenario = given or self._draw(task)
             ego = scenario.ego
             if scenario.traffic is not None:
                 # SUMO's numbers have 31 bits; of a larger seed SUMO gets the scenario's
@@ -187,12 +192,13 @@ class DrivingEnv(OnScreen, OwnSumo):
         self._road, self._route = scenario.road, ego_route(scenario.road, scenario.ego)
         self._spec_of = {spec.id: spec for spec in scenario.specs}
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
+        self._row_order = self._shuffling(scenario)
         self._target_lane, speed = scenario.ego.lane, scenario.ego.speed
         if self.scene.place is not None:  # SUMO has found a place for the ego
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
-        self.steps, self._handed_over, self._is_closed = 0, False, False
+        self.steps, self._handed_over, self._is_closed, self._is_over = 0, False, False, False
         self._ending = self._action_name = ""
         self._last = EgoStep(self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
@@ -212,6 +218,8 @@ class DrivingEnv(OnScreen, OwnSumo):
             is near), min_ttc_before_contact, near_miss, distance [m] of this step, traffic_light (the next one on
             the ego's way: 0 red, 1 yellow, 2 green, -1 without one), traffic_light_distance [m] (inf without one).
 
+        After the end of an episode a step warns and pays 0.
+
         Raises:
             SimulatorError: the simulator cannot continue this episode; `reset` starts another one.
             ValueError: the action is not in the action space.
@@ -220,10 +228,11 @@ class DrivingEnv(OnScreen, OwnSumo):
             raise gym.error.ResetNeeded("call reset() before step()")
         action = self._chosen(action)
         command = self._command(action)
+        is_late = self._is_over
         step = self._drive({self.ego_id: command})
         result = self._after(action, command, step.scene, step.ego)
         self._follow_up()
-        return result
+        return (result[0], paid_late(), *result[2:]) if is_late else result
 
     def _command(self, action: Any) -> Command:
         """What an action commands the ego."""
@@ -271,21 +280,11 @@ class DrivingEnv(OnScreen, OwnSumo):
         self._ending = ending(self.ego_state, self.task.arrived(self.ego_state), terminated, truncated)
         if self._is_closed:
             truncated, self._ending = True, self._ending or "window closed"
+        self._is_over = self._is_over or terminated or truncated
         return observation, reward, terminated, truncated, self._info(observation, action)
 
     def _follow_up(self) -> None:
         """What happens between two steps."""
-
-    def hand_over(self, to_sumo: bool = True) -> None:
-        """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
-
-        `reset` takes it back. `sumo_env.hand_over.HandOver` does both by a rule.
-        """
-        if self.steers:
-            raise ConfigError(
-                "SUMO drives nothing on the replica: hand_over is for sumo/* and networks of your own"
-            )
-        self._handed_over = to_sumo
 
     def imagine(self, seed: int) -> DrivingEnv:
         """A copy of this environment in which new risk events replace those that have not begun.
@@ -317,6 +316,10 @@ class DrivingEnv(OnScreen, OwnSumo):
     def _draw(self, task: Task) -> Scenario:
         """The traffic of an episode, drawn with the environment's generator."""
         return task.scenario(self._law, int(self.np_random.integers(2**31)))
+
+    def _shuffling(self, scenario: Scenario) -> np.random.Generator:
+        """What shuffles the rows of observations in an episode, apart from what draws the next one."""
+        return stream(scenario.seed, f"rows of {scenario.ego.id}")
 
     @property
     def _law(self) -> Config:

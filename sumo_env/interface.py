@@ -80,6 +80,12 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     return Interface(kind, observation)
 
 
+def paid_late() -> float:
+    """The reward of a step after the end of an episode, with a warning."""
+    gym.logger.warn("this episode is over, and a step after its end pays 0: call reset()")
+    return 0.0
+
+
 def information(
     scene: Scene,
     crash: CrashRecord | None,

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import ClassVar
 
 import gymnasium as gym
 
@@ -36,6 +37,8 @@ class OwnSumo(ReadAsHighwayEnv):
     _simulator: Simulator | None
     _options: tuple[str, ...]
     _commands: list[Commands]
+    _handed_over = False
+    steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
 
     def _prepare_sumo(
         self,
@@ -92,6 +95,17 @@ class OwnSumo(ReadAsHighwayEnv):
                 for commands in self._commands:
                     scenes += simulator.step(commands, trace=True).trace
             return export.write(Path(folder), self.scenario, scenes, recorded)
+
+    def hand_over(self, to_sumo: bool = True) -> None:
+        """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
+
+        `reset` takes it back. `sumo_env.hand_over.HandOver` does both by a rule.
+        """
+        if self.steers:
+            raise ConfigError(
+                "SUMO drives nothing on the replica: hand_over is for sumo/* and networks of your own"
+            )
+        self._handed_over = to_sumo
 
     @property
     def sumo(self) -> Sumo:

@@ -18,6 +18,7 @@ from gymnasium import spaces
 
 from sumo_env.config import Config, ConfigError, keys_of
 from sumo_env.driving import DrivingEnv
+from sumo_env.interface import paid_late
 from sumo_env.scene import Scene
 from sumo_env.simulator import Commands
 from sumo_env.tasks.base import Task
@@ -92,6 +93,9 @@ class Cars:
             for env in self.envs:
                 env.configure(config)
         self._scenario, scene = scenario, _ = self.first._start(seed, given)
+        for env in self.envs[1:]:
+            if env.config != self.first.config:  # written to
+                env.configure(self.first.config)
         by_type = scenario.traffic is not None and scenario.traffic.car_type
         self._known = () if by_type else (scenario.ego.id, *scenario.further)
         self.numbers, self.steps = {}, 0
@@ -202,6 +206,19 @@ class TupleEnv(gym.Env[Any, Any]):
         """Tuples of actions, each of which would change something for its car now, or is IDLE."""
         return product(*(env.get_available_actions() for env in self.cars.envs))
 
+    def configure(self, config: Mapping[str, Any] | None) -> None:
+        """Change these keys of the configuration of all cars; they take effect at the next reset.
+
+        Raises:
+            ConfigError: as of `DrivingEnv.configure`; another number of cars.
+        """
+        changed, count = asked(config, len(self.cars.envs)), len(self.cars.envs)
+        if changed.cars != count:
+            raise ConfigError("'controlled_vehicles' cannot be changed: make another environment")
+        for env in self.cars.envs:
+            env.configure(changed.config)
+        self._set_spaces()
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
@@ -210,12 +227,9 @@ class TupleEnv(gym.Env[Any, Any]):
         Raises:
             ConfigError: as there; another number of cars.
         """
-        given, count = dict(options or {}), len(self.cars.envs)
+        given, self._is_over = dict(options or {}), False
         if "config" in given:
-            changed = asked(given["config"], count)
-            if changed.cars != count:
-                raise ConfigError("reset cannot change 'controlled_vehicles': make another environment")
-            given["config"] = changed.config
+            self.configure(given.pop("config"))
         super().reset(seed=seed)
         seen = self.cars.reset(seed, given)
         self._np_random = self.cars.first._np_random
@@ -234,7 +248,9 @@ class TupleEnv(gym.Env[Any, Any]):
         results, _ = self.cars.step(dict(enumerate(action)))
         info = {**self._informed(results, [result[1] for result in results.values()]), "action": action}
         rewards, ends = info["agents_rewards"], info["agents_terminated"]
-        _, reward, end, truncated, _ = results[0]
+        reward: Any = results[0][1]
+        end: Any = results[0][2]
+        truncated = results[0][3]
         first, states = self.cars.first, [env.ego_state for env in self.cars.envs]
         if self._per_car:
             reward, end = rewards, ends
@@ -242,6 +258,9 @@ class TupleEnv(gym.Env[Any, Any]):
             is_off = bool(first.config["offroad_terminal"]) and not states[0].on_road
             reward = sum(rewards) / count
             end = any(state.crashed for state in states) or all(map(first.task.arrived, states)) or is_off
+        if self._is_over:
+            reward = (paid_late(),) * count if self._per_car else paid_late()
+        self._is_over = self._is_over or truncated or (all(end) if self._per_car else end)
         return self._observed(results), reward, end, truncated, info
 
     def _observed(self, seen: Mapping[int, tuple[Any, ...]]) -> Any:

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from sumo_env.as_highway_env import class_or_instance
 from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_misplaced
 from sumo_env.driving import VARIED, DrivingEnv, Observation
@@ -193,6 +195,9 @@ class ReplicaEnv(DrivingEnv):
                 self.scenario = self.replica.expect(spawn)
                 self._spec_of[spawn.vehicle.id] = spawn.vehicle
 
+    def _shuffling(self, scenario: Scenario) -> np.random.Generator:
+        return self.np_random if self.is_stock else super()._shuffling(scenario)
+
     def begin(self) -> Start:
         """The traffic of the next episode, for a batch: drawn as by `reset`, with `np_random`."""
         return self.replica.load(self._draw(self.task))
@@ -221,7 +226,7 @@ class ReplicaEnv(DrivingEnv):
             return super()._observe()
         table = self.replica.table(self.form)
         if not self.form.is_sorted:
-            self.np_random.shuffle(table[1:])
+            self._row_order.shuffle(table[1:])
         return table
 
 

@@ -27,6 +27,8 @@ from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
 from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id
 
+MOST_VARIED = 1000.0  # largest value that `Task.varied` takes
+FACTORS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")  # never 0
 TARGET_SPEEDS = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
 
 
@@ -190,20 +192,33 @@ class Task:
         >>> env.reset(seed=0, options={"risk_rates": {"cut_in": 0.2}})
 
         Raises:
-            ConfigError: a name that there is not.
+            ConfigError: a name that there is not, a wrong value.
         """
         task = copy.copy(self)
         for part, values in changes.items():
             present = getattr(self, part)
-            try:
-                values = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-                setattr(task, part, replace(present, **values))
-            except (AttributeError, TypeError):
+            if not isinstance(values, Mapping) or values.keys() - present.__dataclass_fields__.keys():
                 known = ", ".join(present.__dataclass_fields__)
-                raise ConfigError(
-                    f"options[{part!r}] must map some of {known} to values, not {values!r}"
-                ) from None
+                raise ConfigError(f"options[{part!r}] must map some of {known} to values, not {values!r}")
+            checked = {
+                key: _alike(f"options[{part!r}][{key!r}]", getattr(present, key), value, key in FACTORS)
+                for key, value in values.items()
+            }
+            setattr(task, part, replace(present, **checked))
         return task
+
+    def refuse_foreign(self, scenario: Any, config: Config) -> None:
+        """A ConfigError about what is no scenario, or one of another task or with another clock."""
+        if not isinstance(scenario, Scenario):
+            raise ConfigError(f"options['scenario'] must be a Scenario, not {scenario!r}")
+        policy, simulated = int(config["policy_frequency"]), int(config["simulation_frequency"])
+        is_ours = (scenario.task, scenario.policy_frequency) == (self.name, policy)
+        if not is_ours or scenario.simulation_frequency not in (simulated, self.frequency(config)):
+            raise ConfigError(
+                f"options['scenario'] must be of the task {self.name!r} at {simulated} and {policy} Hz, not of "
+                f"{scenario.task!r} at {scenario.simulation_frequency} and {scenario.policy_frequency} Hz "
+                "('simulation_frequency' and 'policy_frequency')"
+            )
 
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: a pure function of its arguments."""
@@ -327,3 +342,28 @@ def weighted(rewards: dict[str, float], config: Config) -> float:
 def speed_term(speed: float, limits: tuple[float, float] | list[float]) -> float:
     """Speed mapped from these limits, ``reward_speed_range`` [m/s], to [0, 1] and clipped."""
     return min(max(lmap(speed, limits, (0.0, 1.0)), 0.0), 1.0)
+
+
+def _alike(name: str, present: Any, value: Any, positive: bool) -> Any:
+    """A value of the kind of the present one: True or False, a number, or a range of two numbers.
+
+    Raises:
+        ConfigError: another one, a number that is negative (or 0, if it must be positive) or beyond MOST_VARIED.
+    """
+    if isinstance(present, bool):
+        if not isinstance(value, bool | np.bool_):
+            raise ConfigError(f"{name} must be True or False, not {value!r}")
+        return bool(value)
+    is_range = isinstance(present, tuple)
+    many = list(value) if is_range and isinstance(value, tuple | list | np.ndarray) else [value]
+    numbers = [one for one in many if isinstance(one, int | float | np.number) and not isinstance(one, bool)]
+    if (
+        len(numbers) != 1 + is_range
+        or len(numbers) < len(many)
+        or not all(0.0 <= one <= MOST_VARIED and not (positive and one == 0.0) for one in numbers)
+        or numbers[0] > numbers[-1]
+    ):
+        what = "two rising numbers" if is_range else "a number"
+        least = "(0" if positive else "[0"
+        raise ConfigError(f"{name} must be {what} in {least}, {MOST_VARIED:g}], not {value!r}")
+    return tuple(map(float, numbers)) if is_range else float(value)

@@ -26,10 +26,7 @@ from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import drive, leaves
 
 # highway-env's observation boxes are unbounded tables as well
-EXPECTED_WARNINGS = (
-    *("minimum value is -infinity", "maximum value is infinity", "unconventional shape"),
-    "several environments on SUMO",  # once for a process, where a checker makes a second environment
-)
+EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity", "unconventional shape")
 
 META_ACTION = {"type": "DiscreteMetaAction"}
 
@@ -206,11 +203,62 @@ def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, 
     assert changed.specs == before.specs  # the same seed draws the same traffic
     name, driver = changed.vehicles[0].id, changed.vehicles[0].driver
     assert libsumo.vehicle.getTau(name) == pytest.approx(2.0 * driver.tau, abs=1e-6)
-    highway.reset(seed=0, options={"risk_ranges": {"tau": [0.1, 0.1]}})
+    highway.reset(seed=0, options={"risk_ranges": {"tau": np.array([0.1, 0.1])}})
     assert all(spec.driver.tau == pytest.approx(0.15) for spec in env.scenario.vehicles)
     highway.reset(seed=0)  # as it was
     assert env.scenario == before
     assert libsumo.vehicle.getTau(name) == pytest.approx(driver.tau, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("task", "config"),
+    [("u-turn", {}), ("highway", {"policy_frequency": 5}), ("highway", {"simulation_frequency": 20})],
+)
+def test_a_scenario_of_another_task_or_clock_is_refused(
+    highway: gym.Env[Any, Any], task: str, config: dict[str, Any]
+) -> None:
+    other = DrivingEnv(task, config)
+    scenario = other.task.scenario(other.config, 0)
+    with pytest.raises(ConfigError, match="must be of the task 'highway' at 10 and 1 Hz"):
+        highway.reset(options={"scenario": scenario})
+
+
+@pytest.mark.parametrize("id", ["sumo/u-turn-v0", "replica/u-turn-v0"])
+def test_a_step_after_the_end_warns_and_pays_nothing(id: str) -> None:
+    env: Any = gym.make(id, config={"duration": 1, "policy_frequency": 2}).unwrapped
+    env.reset(seed=0)
+    assert [env.step(1)[1] > 0.0 for _ in range(2)] == [True, True]
+    with pytest.warns(UserWarning, match="over"):
+        _, reward, _, truncated, _ = env.step(1)
+    assert reward == 0.0 and truncated
+    env.reset(seed=0)
+    assert env.step(1)[1] > 0.0
+
+
+@pytest.mark.parametrize("keywords", [{}, {"scenarios": "seeded"}])
+def test_shuffled_rows_do_not_change_the_next_episode(keywords: dict[str, Any]) -> None:
+    kind = {"type": "Kinematics", "order": "shuffled", "vehicles_count": 4}
+    id = "replica/u-turn-v0" if keywords else "sumo/u-turn-v0"
+    env: Any = gym.make(id, config={"observation": kind}, **keywords).unwrapped
+    rows, seeds = set(), set()
+    for steps in (0, 1, 3):
+        env.reset(seed=1)
+        for _ in range(steps):
+            rows.add(env.step(1)[0].tobytes())
+        env.reset()
+        seeds.add(env.scenario.seed)
+    assert len(seeds) == 1 and len(rows) == 3  # the same seed shuffles alike
+
+
+def test_a_frequency_that_nobody_asked_for_goes_back(highway: gym.Env[Any, Any]) -> None:
+    env: Any = highway.unwrapped
+    seen = []
+    for policy in (15, 5, 12, 1):
+        env.configure({"policy_frequency": policy})
+        seen.append(env.config["simulation_frequency"])
+    env.configure({"simulation_frequency": 15})
+    env.configure({"policy_frequency": 2})
+    assert [*seen, env.config["simulation_frequency"]] == [15, 10, 15, 10, 15]
 
 
 @pytest.mark.parametrize(
@@ -219,6 +267,19 @@ def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, 
         ({"risk_rate": {"cut_in": 0.1}}, "'risk_rates', 'risk_ranges'"),
         ({"risk_rates": {"cutin": 0.1}}, "map some of cut_in, brake"),
         ({"calibration": {"tau": 2.0}, "scenario": None}, "either 'scenario' or"),
+        ({"risk_rates": {"cut_in": 0.3}}, "no effect at risk 0"),
+        ({"risk_ranges": {"tau": [0.1, 0.2]}}, "no effect at risk 0"),
+        ({"risk_rates": 3}, "map some of cut_in"),
+        ({"risk_rates": {"cut_in": 1e12}}, r"a number in \[0, 1000\]"),
+        ({"risk_rates": {"cut_in": -0.1}}, "a number"),
+        ({"risk_ranges": {"tau": 5}}, r"two rising numbers in \(0, 1000\]"),
+        ({"risk_ranges": {"tau": [2, 1]}}, "two rising numbers"),
+        ({"risk_ranges": {"accel": [0, 1]}}, "two rising numbers"),
+        ({"risk_ranges": {"not_giving_way": [0, 1]}}, "a number"),
+        ({"calibration": {"tau": "a"}}, "a number"),
+        ({"calibration": {"tau": math.nan}}, "a number"),
+        ({"calibration": {"lane_changes": 2}}, "True or False"),
+        ({"scenario": 3}, "must be a Scenario"),
     ],
 )
 def test_a_wrong_option_of_reset_is_named(highway, options, message) -> None:

@@ -221,8 +221,25 @@ def test_on_sumo_actions_and_observations_are_tuples_as_well(task: str) -> None:
     assert reward == pytest.approx(rewards[0] if task == "highway" else np.mean(rewards))
     with pytest.raises(ValueError, match="2 learning cars need a tuple of 2 actions"):
         env.unwrapped.step((1,))
-    with pytest.raises(ConfigError, match="reset cannot change 'controlled_vehicles'"):
+    with pytest.raises(ConfigError, match="'controlled_vehicles' cannot"):
         env.reset(options={"config": {"controlled_vehicles": 3}})
+
+
+def test_all_cars_have_one_configuration() -> None:
+    """After a change by `configure`, and by writing to `config` of the environment."""
+    config = tuples({"type": "DiscreteMetaAction"}, {"type": "Kinematics"}, controlled_vehicles=2)
+    env: Any = gym.make("sumo/u-turn-v0", config={**config, "duration": 2}).unwrapped
+    env.configure({"policy_frequency": 5})
+    env.config["screen_width"] = 700
+    env.reset(seed=0)
+    first, other = env.cars.envs
+    assert first.config == other.config and first.config["policy_frequency"] == 5
+    with pytest.raises(ConfigError, match="another environment"):
+        env.configure({"controlled_vehicles": 3})
+    for _ in range(10):
+        *_, truncated, _ = env.step((1, 1))
+    with pytest.warns(UserWarning, match="over"):
+        assert truncated and env.step((1, 1))[1] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -142,7 +143,8 @@ class NetworkTask(Task):
         several = routes.items() if isinstance(routes, Mapping) else enumerate(routes)
         named = [(f"route {name}", way) for name, way in several]
         are_files = [
-            isinstance(way, Path) or (isinstance(way, str) and files.is_file(way)) for _, way in named
+            isinstance(way, Path) or (isinstance(way, str) and (files.is_file(way) or os.path.isfile(way)))
+            for _, way in named
         ]
         self._drawn: tuple[tuple[str, tuple[str, ...]], ...] = ()
         if named and all(are_files):

@@ -23,6 +23,7 @@ from tests.sumo_env.scenario.test_oracle import differences, driven
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
 SECONDS = 12
+SECOND = {"simulation_frequency": 1, "duration": 99}
 EGO = '<trip id="ego" depart="0" from="A0A1" to="B1B0"/>'
 ROUTES = f'{EGO}<flow id="f" begin="0" end="99" probability="0.4" from="A0A1" to="B1B0"/>'
 ADDITIONAL = '<vType id="DEFAULT_VEHTYPE" tau="1.3"/>'
@@ -309,6 +310,19 @@ def test_a_type_that_is_none_is_said_at_once(net: Path, tmp_path: Path) -> None:
     for name, word in (("mix", "distribution"), ("quikc", "quick")):
         with pytest.raises(ConfigError, match=word):
             parallel_env(config, vehicle_type=name, max_cars=2)
+
+
+def test_arguments_of_any_name(
+    net: Path, usual: Rows, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As they lie in the working folder, without the endings that SUMO's own files have."""
+    written(tmp_path, net, says()(""), {"n": "town", "r": "demand.txt", "a": "more"}, {})
+    monkeypatch.chdir(tmp_path)
+    with closing(
+        SumoDrivingEnv("town", "demand.txt", additional="more", ego_vehicle="ego", config=SECOND)
+    ) as env:
+        env.reset(seed=7)
+        assert differences(driven(env, SECONDS), usual, 1.0) == []
 
 
 def test_a_link_to_a_configuration(net: Path, usual: Rows, tmp_path: Path) -> None:

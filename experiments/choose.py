@@ -42,7 +42,7 @@ CANDIDATES: dict[str, tuple[str, ...]] = {
     "tuned": (),
     "goals-free": ("clip_goals=false",),
     "half-rate": ("learning_rate=2.5e-4",),
-    "slow-target": ("tau=0.0003",),
+    "fast-target": ("tau=0.005",),
     "short-sighted": ("gamma=0.9",),
 }
 
@@ -54,7 +54,7 @@ class Options:
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Directory for the cells of all candidates."""
     candidates: Annotated[tuple[str, ...], argument("NAME ...", "all")] = ()
-    """tuned (the profile as it is), goals-free, half-rate, slow-target, short-sighted."""
+    """tuned (the profile as it is), goals-free, half-rate, fast-target, short-sighted."""
     updates: Annotated[int | None, argument("N", "the study's")] = None
     """Training budget of an agent in updates."""
     episodes: Annotated[int | None, argument("N")] = None

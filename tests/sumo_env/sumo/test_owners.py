@@ -68,12 +68,11 @@ class Watch:
 
     def __init__(self, base: Callable[[str], tuple[int, int]]) -> None:
         """base: the modes in which SUMO drives a vehicle."""
-        self._base, self._slower = base, set[str]()
+        self._base = base
 
     def found(self, scene: Scene) -> list[str]:
         """What is wrong after a sub-step."""
-        found, of, before = [], libsumo.vehicle, self._slower
-        self._slower = set()
+        found, of = [], libsumo.vehicle
         for row, name in enumerate(scene.ids):
             if row < scene.cars or name in scene.in_event or not of.getLaneID(name):
                 continue
@@ -81,11 +80,10 @@ class Watch:
             wanted = WRECKED if scene.crashed[row] else self._base(name)
             if now != wanted:
                 found.append(f"{scene.time} s, {name}: modes {now}, not {wanted}")
-            if not scene.crashed[row] and abs(of.getSpeed(name) - own) > FURTHER:
-                self._slower.add(name)
-                # for one step it may be SUMO's emergency stop, after a surge up to a red light
-                if name in before:
-                    found.append(f"{scene.time} s, {name}: {of.getSpeed(name)} m/s, by itself {own}")
+            # SUMO itself stops a vehicle at once at a red light that a surge has brought it to; modes tell then
+            stands = scene.crashed[row] or of.getSpeed(name) == 0.0
+            if not stands and abs(of.getSpeed(name) - own) > FURTHER:
+                found.append(f"{scene.time} s, {name}: {of.getSpeed(name)} m/s, by itself {own}")
         return found
 
 

@@ -216,6 +216,7 @@ FOURTH = Plan(
     learner=Learner(),
     trained=("treatment", "mixed"),
     design={"first_seed": 200, "seeds": 10, "first_scenario": 2000, "episodes": 800, "rule": [3.0, 0.3]},
+    published="pairs",
 )
 PLANS = {"pairs": FOURTH, "second": SECOND, "first-clock": SECOND, "standard": TWO_BATCHES}  # by preset
 

@@ -33,7 +33,7 @@ sweep: setup
 
 # Analyses, reports and pages again, from the stored test episodes. All of these are in the repository. ARCHIVE=ADDRESS
 # first unpacks an archive of more folders of results. To train agents again: the commands in the folders' PUBLISHED.md.
-FOLDERS ?= $(patsubst %/packed.json,%,$(wildcard results/*/packed.json))
+FOLDERS ?= $(patsubst %/sweep.json,%,$(wildcard results/*/sweep.json))
 ARCHIVE ?=
 results: setup
 	$(if $(ARCHIVE),curl --fail --silent --show-error --location '$(ARCHIVE)' | tar -xz results)

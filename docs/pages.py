@@ -509,12 +509,6 @@ def validation(task: str | None = None) -> dict[str, int]:
     return {"all": passed + sums["missed"], "passed": passed, **sums}
 
 
-def corruptions() -> dict[str, int]:
-    """What the damaged files of tests/faults/corruptions.py came to: how many there are, and of each outcome."""
-    found: dict[str, int] = json.loads((ROOT / "tests" / "faults" / "corruptions.json").read_text())
-    return found
-
-
 def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dict[str, float]:
     """A check that is missed: the numbers of sumo and of the reference, and the margin."""
     verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
@@ -533,7 +527,7 @@ def road_units(task: str, unit: str, digits: int) -> str:
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    avoidable, change, checks, corruptions, decided, effect, failing, is_published, kinds_of_crash, late_crashes,
+    avoidable, change, checks, decided, effect, failing, is_published, kinds_of_crash, late_crashes,
     mean_elsewhere, means_table, missed, opening, other_learners, paper, passing, passing_where, planner_scenarios,
     price, rate, returns, road_units, row, settings, share_of, task_table, tasks, validation, variant, who_drives,
     without_pair,

@@ -52,7 +52,7 @@ class Options:
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     pack: bool = False
-    """Instead pack the finished cells into a few tables; nothing is deleted."""
+    """Instead move the finished cells into parts, a file for each arm of a setting."""
 
 
 def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | None = None) -> Path:
@@ -115,9 +115,7 @@ def main() -> int:
     options = tyro.cli(Options, description=__doc__)
     if options.pack:
         names = Store(options.directory).pack()
-        print(f"{len(names)} cells packed into the tables of {options.directory}, and read back equal")
-        if names:
-            print(f"{options.directory / 'cells'} may be removed")
+        print(f"{len(names)} cells moved into {Store(options.directory).parts}, and read back")
     else:
         own = dict(own_outcome(name) for name in options.outcome)
         print_report(options.directory, *options.others, own=own)

@@ -29,7 +29,7 @@ from experiments.study.design.experiment import Experiment
 from experiments.study.design.fingerprint import check_dynamics, check_learners
 from experiments.study.design.grid import Cell
 from experiments.study.design.presets import cells_of
-from experiments.study.results.store import TRAINING, Store
+from experiments.study.results.store import Store
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
 
@@ -93,7 +93,7 @@ def draw(directory: Path, cell: Cell) -> Path:
     import matplotlib
 
     matplotlib.use("agg")
-    episodes = Store(directory).tables(cell.name)[TRAINING].set_index("step")
+    episodes = Store(directory).training(cell.name).set_index("step")
     smooth = episodes[["return", "crashed"]].astype(float).rolling(SMOOTH, min_periods=1).mean()
     title = f"{cell.slug}: training episodes with exploration, mean of {SMOOTH}"
     axes = smooth.plot(subplots=True, figsize=(8, 5), grid=True, xlabel="environment steps", title=title)

@@ -13,7 +13,6 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from agents.files import open_regular
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.claims import CONTRADICTED, all_hold
@@ -29,6 +28,7 @@ from experiments.study.design.arms import ARMS, DOSE_ARMS
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import verdicts
 from experiments.study.results.store import Results, Store
+from experiments.support.files import opened
 from sumo_env.hints import DOCUMENTATION
 
 LARGEST = 10_000_000  # bytes of a film
@@ -63,8 +63,9 @@ def films(directory: Path) -> dict[str, str]:
     """The films that lie in a folder, by name, so that the page has them in itself."""
     found = {}
     for path in sorted(directory.glob("*.gif")):
-        with suppress(OSError), open_regular(path) as file:
-            if len(content := file.read(LARGEST + 1)) <= LARGEST:
+        with suppress(OSError), opened(path) as file:
+            content = file.read(LARGEST + 1)
+            if len(content) <= LARGEST and content.startswith((b"GIF87a", b"GIF89a")):
                 found[path.name] = b64encode(content).decode()
     return found
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import json
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 
 from filelock import FileLock
 
-from agents.files import atomic, open_regular, sync
+from agents.files import atomic, open_regular
 from agents.schema import parsed
 
 
@@ -29,14 +29,21 @@ def sha256_bytes(data: bytes) -> str:
 
 
 def sha256_file(path: Path) -> str:
-    """Hexadecimal SHA-256 of a regular file's bytes."""
-    with open_regular(path) as file:
+    """Hexadecimal SHA-256 of the bytes of a file of results. Raises OSError as `opened` does."""
+    with opened(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def opened(path: Path) -> io.BufferedReader:
+    """A regular file of a folder of results, to be read. Raises OSError where a link, a folder or a pipe lies there."""
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, "a link lies in its place", str(path))
+    return open_regular(path)
+
+
 def read_text(path: Path) -> str:
-    """The text of a regular file. Raises OSError, or UnicodeDecodeError."""
-    with open_regular(path) as file:
+    """The text of a file of results. Raises OSError as `opened` does, or UnicodeDecodeError."""
+    with opened(path) as file:
         return file.read().decode()
 
 
@@ -89,21 +96,3 @@ def alone(directory: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
-
-
-def publish(directory: Path, final: Path) -> None:
-    """Move a finished directory to its final name in one step, after bringing its files to the disk.
-
-    Both must lie on one filesystem. Where `final` is there already, `directory` is removed: somebody else computed the
-    same thing.
-    """
-    for path in directory.iterdir():
-        sync(path)
-    sync(directory)
-    try:
-        os.rename(directory, final)
-        sync(final.parent)
-    except OSError as error:
-        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-            raise
-        shutil.rmtree(directory)

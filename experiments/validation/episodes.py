@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
@@ -30,8 +31,8 @@ from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import level_names
 from experiments.study.design.sheet import sheet
-from experiments.study.results.packed import read_table
-from experiments.study.results.schema import MOST, Column, check_columns
+from experiments.study.results.frozen import read_table
+from experiments.study.results.schema import as_table
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
@@ -73,10 +74,10 @@ COLUMNS: dict[str, str] = {
 
 
 MAY_LACK = ("crash_time", "traffic_speed", "lane_changes")  # without a crash, or without traffic to see
-STORED = {
-    name: Column(kind, 0 if kind[0] == "u" else -MOST, MOST, missing=name in MAY_LACK)
+STORED = pa.schema(
+    pa.field(name, pa.string() if kind == "str" else pa.from_numpy_dtype(kind), nullable=name in MAY_LACK)
     for name, kind in COLUMNS.items()
-}
+)
 
 
 def egos(task: str) -> tuple[str, ...]:
@@ -210,7 +211,11 @@ class Part:
         wanted = [(self.task, self.level, self.traffic, ego, scenario) for scenario, ego in self.episodes()]
         try:
             table = read_table(path)
-            check_columns(table, STORED, COLUMNS)
+            as_table(table, STORED)
+            if np.isinf(numbers := table.select_dtypes("float")).any(axis=None):
+                raise Wrong(
+                    f"it has infinite numbers in {', '.join(numbers.columns[np.isinf(numbers).any()])}"
+                )
             found = list(table[PAIR].itertuples(index=False, name=None))
             if odd := [row for row, pair in enumerate(zip_longest(found, wanted)) if pair[0] != pair[1]]:
                 raise Wrong(f"row {odd[0]} of {len(found)} is not the episode that is asked for there")

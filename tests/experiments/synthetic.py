@@ -59,7 +59,7 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         chance += effect * risk * dose + PENALTY * (cell.arm == "penalty")
         crashed = luck + random.uniform(-0.3, 0.3, n) < chance
         length = np.where(crashed, random.integers(2, steps, n), steps)
-        table = {"traffic": np.full(n, traffic, object), "scenario": np.arange(n)}
+        table: dict[str, Any] = {"traffic": np.full(n, traffic, object), "scenario": np.arange(n)}
         table["return"] = length * (reward - 0.03 * cell.level - own / 2) - crashed + random.normal(0, 0.3, n)
         table |= {"length": length, "crashed": crashed, "arrived": (cell.task == "intersection") & ~crashed}
         table["truncated"] = ~crashed & ~table["arrived"]
@@ -73,6 +73,7 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         }
         actions = random.multinomial(length, [0.1, 0.3, 0.1, 0.2, 0.3])
         table |= {f"action_{k}": actions[:, k] for k in range(5)}
+        table["actions"] = ["".join(map(str, np.repeat(range(5), counts))) for counts in actions]
         table["crash_time"] = np.where(crashed, length - random.uniform(0, 1, n), np.nan)
         table["crash_closing_speed"] = np.where(crashed, np.abs(random.normal(8, 3, n)), np.nan)
         for name in ("x", "y", "relative_x", "relative_y", "relative_heading"):
@@ -80,10 +81,9 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         for name, word in {"other": "a car", "type": "rear-end", "detected_by": "sumo"}.items():
             table[f"crash_{name}"] = np.where(crashed, np.array(word, object), None)
         tables.append(table)
-    names = list(COLUMNS)[:-1]  # before there was `actions`
-    columns = {name: np.concatenate([table[name] for table in tables]) for name in names}
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in COLUMNS}
     index = np.concatenate([np.arange(n)] * len(tables))
-    return pd.DataFrame(columns, index).astype({name: COLUMNS[name] for name in names})
+    return pd.DataFrame(columns, index).astype(COLUMNS)
 
 
 def learner(cell: grid.Cell, diverged: bool) -> dict[str, Any]:

@@ -243,7 +243,7 @@ class TestIncomplete:
         [name] = [
             cell.name for cell in cells if cell.kind == "agent" and (cell.arm, cell.seed) == ("treatment", 1)
         ]
-        (tmp_path / "cells" / name / "episodes.parquet").write_bytes(b"no table")
+        (tmp_path / "cells" / f"{name}.parquet").write_bytes(b"no table")
         page = Page(report.write_report(tmp_path).read_text())
         assert "cannot be read and are not counted" in page.text and name in page.text
 

@@ -23,7 +23,6 @@ from experiments.study.compute.run import Attempt, attempt
 from experiments.study.design import grid
 from experiments.study.design.arms import TEST
 from experiments.study.design.experiment import shard
-from experiments.study.results import store
 from experiments.study.results.store import load
 from experiments.study.results.working import fraction_done
 from experiments.support.errors import UserError
@@ -70,9 +69,9 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
     assert set(results.cells) == {cell.name for cell in wanted} == set(results.expected)
     assert not results.failed
     assert not list((reference / "work").iterdir())
-    before = {path: path.stat().st_mtime_ns for path in reference.glob("cells/*/*")}
+    before = {path: path.stat().st_mtime_ns for path in reference.glob("*/*.*")}
     assert run(reference) == 0
-    assert {path: path.stat().st_mtime_ns for path in reference.glob("cells/*/*")} == before
+    assert {path: path.stat().st_mtime_ns for path in reference.glob("*/*.*")} == before
     assert "8 of them finished before" in capsys.readouterr().out
 
 
@@ -90,9 +89,9 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
     doses = next(key for key in tests if key["arm"] == "dose50" and key["test_on"]["backend"] == "sumo")
     assert doses["test_on"]["traffics"] == ["dose25", "dose50", "dose75"]
     assert {3} == set(results.episodes.groupby(["cell", "traffic"]).size())
-    weights = next(directory.glob("cells/*-dose25-s0-*/weights.npz"))
+    weights = next(directory.glob("weights/*-dose25-s0-*"))
     for path in directory.glob("cells/*-on-*"):
-        shutil.rmtree(path)
+        path.unlink()
     weights.unlink()
     with pytest.raises(UserError, match="are not here"):
         run(directory, **options, cell="sumo-u-turn-3-dose25-s0-on-replica")
@@ -311,10 +310,10 @@ def test_a_damaged_cell_is_named_put_aside_and_computed_again(reference, tmp_pat
     copy = tmp_path / "copy"
     shutil.copytree(reference, copy)
     cell = sorted((copy / "cells").iterdir())[0]
-    (cell / store.EPISODES).write_bytes(b"PAR1")
+    cell.write_bytes(b"PAR1")
     assert run(copy) == 0
-    assert f"{cell / store.EPISODES} is damaged" in capsys.readouterr().out
-    assert next((copy / "damaged").glob(f"{cell.name}.*/{store.EPISODES}")).read_bytes() == b"PAR1"
+    assert f"{cell} is damaged" in capsys.readouterr().out
+    assert next((copy / "damaged").glob(f"*/{cell.name}")).read_bytes() == b"PAR1"
     assert fingerprint(copy) == fingerprint(reference)
 
 

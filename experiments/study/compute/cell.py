@@ -19,13 +19,8 @@ from experiments.study.compute.run import Heartbeat
 from experiments.study.compute.worth import Worth
 from experiments.study.design.arms import gate_traffics
 from experiments.study.design.grid import Cell, learner_of, tested_on
-from experiments.study.results.schema import EPISODES, GATE_COLUMNS, GATES
-from experiments.study.results.store import (
-    TRAINING,
-    WEIGHTS,
-    DamagedCell,
-    Store,
-)
+from experiments.study.results.schema import EPISODES, GATES, TRAINING, WEIGHTS
+from experiments.study.results.store import DamagedCell, Store
 from experiments.support.errors import UserError
 from experiments.support.files import made
 from experiments.support.provenance import provenance
@@ -60,14 +55,11 @@ class CellTask:
         """Whether it is stored; damaged results are named and put aside."""
         store = Store(self.directory)
         try:
-            store.tables(self.name)
-        except KeyError:
-            return False
+            return store.is_whole(self.name)
         except DamagedCell as error:
-            aside = store.put_aside(store.cells / self.name)
+            aside = store.put_aside(self.name)
             print(f"{error.file} is damaged ({error.reason}): put aside in {aside}, to be computed again")
             return False
-        return True
 
     def compute(self, heartbeat: Heartbeat) -> None:
         """Train, test and store it."""
@@ -127,7 +119,7 @@ class CellTask:
         gates = table(judged, "gate", gate_traffics(cell.arm), cell.gate_episodes)
         if has_values:
             record["values"] = judged.record()
-        return {EPISODES: episodes, GATES: gates[list(GATE_COLUMNS)]}
+        return {EPISODES: episodes, GATES: gates} if len(gates) else {EPISODES: episodes}
 
     def _weights(self) -> list[Path]:
         """Those that are tested; none for a policy that is not trained."""

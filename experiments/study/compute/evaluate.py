@@ -17,9 +17,7 @@ from experiments.study.design.traffic import TRAFFICS, traffic_named
 from experiments.study.results import schema
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
-COLUMNS = {
-    name: column.type for name, column in schema.COLUMNS.items()
-}  # of episodes.parquet, with their types
+COLUMNS = schema.COLUMNS  # of a test episode, with their types
 CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
 
 

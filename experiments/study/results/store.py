@@ -1,57 +1,46 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice; all of them as tables.
 
-DIR/cells/<cell>/     cell.json, episodes.parquet; gates.parquet except in further tests of an agent; for agents also
-                      training.parquet, weights.npz
-DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
-DIR/work/<cell>/      a cell in progress or given up: lock, log of what went wrong (see `run`)
-DIR/damaged/          what was put aside because it was damaged
-DIR/sweep.json        what sweeps have asked for
+DIR/cells/CELL.parquet     a finished cell: its test episodes and its record (see `tables`)
+DIR/parts/PART.parquet     the cells of one arm of a setting in one such file, which is written once (`Store.pack`)
+DIR/weights/CELL.npz, DIR/training/CELL.parquet     of agents: their weights, and a row a training episode
+DIR/work/CELL/             a cell in progress or given up: lock, log of what went wrong (see `run`)
+DIR/damaged/               what was put aside because it was damaged
+DIR/sweep.json             what sweeps have asked for
 
-`Store` has one cell after the other, `load` all of them as `Results`.
+Folders of earlier versions are read as well (`frozen`). `Store` has one cell after the other, `load` all as `Results`.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
-import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
 
-from agents.files import open_regular
-from agents.schema import Wrong, check, parsed, shortened
+from agents.schema import Wrong, check, shortened
 from experiments.study.design.grid import RESULT_SCHEMA, Cell, setting
-from experiments.study.results.packed import (
-    MANIFEST,
-    DamagedTable,
-    add,
-    as_parquet,
-    packed_records,
-    packed_tables,
-    packed_weights,
-    read_table,
-)
+from experiments.study.results import frozen, tables
 from experiments.study.results.schema import (
     COLUMNS,
     EPISODES,
     GATES,
-    check_episodes,
-    check_record,
-    check_rows,
+    PURPOSES,
+    TRAINING,
+    WEIGHTS,
+    table_of,
 )
+from experiments.study.results.tables import DamagedCell, DamagedPart, asked_of
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
 from experiments.support.files import (
     alone,
     made,
-    publish,
     read_json,
     sha256_bytes,
     sha256_file,
@@ -60,57 +49,69 @@ from experiments.support.files import (
 )
 from sumo_env.config import did_you_mean
 
-CELL, TRAINING, WEIGHTS = "cell.json", "training.parquet", "weights.npz"
-TABLES = (EPISODES, GATES, TRAINING)
 SWEEPS = "sweep.json"
-HEAD = '{\n "checksum": "%s",\n'  # of cell.json
-
-
-class DamagedCell(UserError):
-    """A stored cell that cannot be what was written; the message names the file and the remedy."""
-
-    def __init__(self, file: Path, reason: str) -> None:
-        super().__init__(
-            f"{file} is damaged ({reason}): run the sweep again, which puts aside {file.parent} and computes it again"
-        )
-        self.file, self.reason = file, reason
+BESIDE = {
+    TRAINING: ("training", ".parquet"),
+    WEIGHTS: ("weights", ".npz"),
+}  # where an agent's other files lie
+T = TypeVar("T")
 
 
 class Store:
-    """The result directory of an experiment, which need not exist to be asked what it holds.
-
-    A finished cell has a folder of its own, or is packed with others; here the two are read alike.
-    """
+    """A result directory."""
 
     def __init__(self, directory: Path) -> None:
-        self.directory = directory
-        self.cells = directory / "cells"
-        self.work = directory / "work"
+        self.directory = Path(directory)
+        self.cells, self.parts, self.work = (self.directory / name for name in ("cells", "parts", "work"))
 
     def check(self) -> None:
         """Raise UserError if this is no directory of results."""
-        if not self.cells.is_dir() and not (self.directory / MANIFEST).exists():
-            raise UserError(
-                f"{self.directory} holds no results (neither {self.cells} nor {MANIFEST}): "
-                "name the --out directory of a sweep"
-            )
+        if not (self.cells.is_dir() or self.parts.is_dir() or (self.directory / frozen.CELLS).exists()):
+            raise UserError(f"{self.directory} holds no results: name the --out directory of a sweep")
 
     def finished(self) -> list[str]:
         """Names of all finished cells in alphabetical order."""
-        folders = self.cells.iterdir() if self.cells.is_dir() else ()
-        return sorted({*(path.name for path in folders if path.is_dir()), *packed_records(self.directory)})
+        own = [
+            path.stem for path in self.cells.glob("*.parquet")
+        ]  # first: packing moves cells from here to parts
+        return sorted({*own, *self._packed(), *frozen.records(self.directory)})
+
+    def _own(self, name: str) -> Path:
+        """The file of a cell that is not packed."""
+        return self.cells / f"{name}.parquet"
+
+    def _packed(self) -> dict[str, Path]:
+        """The part of each packed cell. Raises DamagedPart."""
+        return {
+            name: path
+            for path in sorted(self.parts.glob("*.parquet"))
+            for name in asked_of(path, tables.records, DamagedPart)
+        }
+
+    def _find(
+        self, name: str, of_own: Callable[[Path], dict[str, T]], of_frozen: Callable[[], dict[str, T]]
+    ) -> T:
+        """What is asked of the file that a cell is in. Raises DamagedCell; DamagedPart; KeyError without one."""
+        own = self._own(name)
+        if own.exists() or own.is_symlink():
+            found = asked_of(own, of_own, DamagedCell)
+            if list(found) != [name]:
+                raise DamagedCell(own, f"its content is that of {', '.join(found)}")
+            return found[name]
+        if part := self._packed().get(name):
+            return asked_of(part, of_own, DamagedPart)[name]
+        return of_frozen()[name]
 
     def record(self, name: str) -> dict[str, Any]:
-        """cell.json of a finished cell, after checking all its files. Raises DamagedCell, or KeyError without one."""
-        path = self.cells / name
-        return read_cell(path) if path.is_dir() else packed_records(self.directory)[name]
+        """The record of a finished cell. Raises DamagedCell; DamagedPart; KeyError without one."""
+        return self._find(name, tables.records, lambda: frozen.records(self.directory))
 
     def records(self) -> dict[str, dict[str, Any]]:
-        """cell.json of all finished cells by name. Raises DamagedCell."""
+        """The records of all finished cells by name. Raises as `record` does."""
         return {name: self.record(name) for name in self.finished()}
 
     def agents(self) -> dict[str, dict[str, Any]]:
-        """cell.json of the trained agents by name. Raises DamagedCell, or UserError if there is none."""
+        """The records of the trained agents by name. Raises as `record` does, or UserError if there is none."""
         found = {name: record for name, record in self.records().items() if record["key"]["kind"] == "agent"}
         if not found:
             raise UserError(
@@ -118,65 +119,93 @@ class Store:
             )
         return found
 
-    def tables(self, name: str, wanted: Sequence[str] = TABLES) -> dict[str, pd.DataFrame]:
-        """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
-        path, record, found = self.cells / name, self.record(name), {}
-        for file in (file for file in wanted if file in record["files"]):
-            try:
-                if path.is_dir():
-                    found[file] = read_table(path / file)
-                    check_episodes(file, found[file])
-                elif name in (packed := packed_tables(self.directory, file)):
-                    found[file] = packed[name]
-                elif file != TRAINING:  # published folders lack them
-                    raise Wrong("it has no rows")
-                check_rows(record["key"], file, found.get(file, pd.DataFrame()))
-            except Wrong as error:
-                if path.is_dir():
-                    raise DamagedCell(path / file, str(error)) from None
-                raise DamagedTable(self.directory / file, f"{name}: {error}") from None
+    def tables(self, name: str) -> dict[str, pd.DataFrame]:
+        """EPISODES and, of a cell that is judged, GATES. Raises as `record` does."""
+
+        def of_frozen() -> dict[str, dict[str, pd.DataFrame]]:
+            both = {file: frozen.tables(self.directory, file) for file in PURPOSES}
+            return {name: {file: both[file][name] for file in both if name in both[file]}}
+
+        found: dict[str, pd.DataFrame] = self._find(name, tables.frames, of_frozen)
         return found
 
+    def training(self, name: str) -> pd.DataFrame:
+        """An agent's training episodes. Raises DamagedCell; KeyError where they are not kept."""
+        if (path := self._beside(name, TRAINING)) is None:
+            raise KeyError(name)
+        return asked_of(path, frozen.read_table, DamagedCell)
+
     def weights(self, name: str) -> Path | None:
-        """The file of an agent's weights; None if it is not here."""
-        own, packed = self.cells / name / WEIGHTS, packed_weights(self.directory, name)
-        return own if own.exists() else packed if packed.exists() else None
+        """The file of an agent's weights; None if it is not here. Raises DamagedCell where they are others'."""
+        return self._beside(name, WEIGHTS)
+
+    def _beside(self, name: str, file: str) -> Path | None:
+        folder, ending = BESIDE[file]
+        path = self.directory / folder / f"{name}{ending}"
+        if not path.exists():
+            return None
+        digest = self.record(name)["files"].get(file)
+        # published weights of packed cells may be in half precision
+        if self._own(name).exists() and asked_of(path, sha256_file, DamagedCell) != digest:
+            raise DamagedCell(path, "its checksum does not match")
+        return path
+
+    def is_whole(self, name: str) -> bool:
+        """Whether a cell is stored; one that is not packed with all that belongs to it.
+
+        Raises:
+            DamagedCell: it has to be computed again. DamagedPart.
+        """
+        try:
+            files = self._find(name, tables.records, lambda: frozen.records(self.directory))["files"]
+            self.tables(name)
+        except KeyError:
+            return False
+        for file in (file for file in BESIDE if file in files):
+            if not self._beside(name, file) and self._own(name).exists():
+                raise DamagedCell(self._own(name), f"its {file} is missing")
+        return True
 
     def write(self, cell: Cell, record: Mapping[str, Any], files: Mapping[str, Any]) -> None:
-        """Store a finished cell in one step.
+        """Store a finished cell. What is written last makes it one.
 
         Args:
             record: timing, provenance and learner of the cell; the key, versions and checksums are added
                 here.
-            files: data frames by name (parquet), or paths of files to take over.
+            files: EPISODES and, where it is judged, GATES; of an agent also TRAINING (a data frame) and WEIGHTS (the
+                path of the file).
 
         Raises:
             Wrong: it is not what a reader takes (`schema`). OSError: the disk is full or the directory cannot be
-                written. Nothing is stored then.
+                written. It is not finished then.
         """
-        staged = self.work / cell.name / f"finished-{socket.gethostname()}-{os.getpid()}"
-        shutil.rmtree(staged, ignore_errors=True)
-        made(staged.parent)
-        staged.mkdir()
-        for name, content in files.items():
-            write_file(
-                staged / name, content.read_bytes() if isinstance(content, Path) else as_parquet(content)
-            )
+        table = table_of(cell.name, files)
+        digests = {
+            file: tables.digest(table.filter(pc.equal(table["purpose"], purpose)))
+            for file, purpose in PURPOSES.items()
+            if file in files
+        }
+        beside: dict[str, bytes] = {}
+        if TRAINING in files:
+            beside[TRAINING] = files[TRAINING].to_parquet(index=False, compression="zstd")
+        if WEIGHTS in files:
+            beside[WEIGHTS] = files[WEIGHTS].read_bytes()
         value = {
             "schema": RESULT_SCHEMA,
             "key": cell.key(),
             "versions": cell.versions,
             "source": cell.source,
             **record,
-            "files": {name: sha256_file(staged / name) for name in sorted(files)},
+            "files": digests | {file: sha256_bytes(data) for file, data in beside.items()},
         }
-        check_record(cell.name, value)
-        for name, content in files.items():
-            if isinstance(content, pd.DataFrame):
-                check_episodes(name, content)
-                check_rows(value["key"], name, content)
-        write_file(staged / CELL, seal(value))
-        publish(staged, made(self.cells) / cell.name)
+        content = tables.content({cell.name: value}, table)
+        if self._own(cell.name).exists():
+            return  # somebody else has computed the same
+        for file, data in beside.items():
+            folder, ending = BESIDE[file]
+            write_file(made(self.directory / folder) / f"{cell.name}{ending}", data)
+        made(self.cells)
+        write_file(self._own(cell.name), content)
 
     def sweeps(self) -> list[dict[str, Any]]:
         """The sweeps that have asked for cells, with `command` and the names of the `cells`, oldest first.
@@ -232,68 +261,45 @@ class Store:
         words = {path.name: last_words(path) for path in sorted(self.work.glob("*"))}
         return {name: reason for name, reason in words.items() if reason and name not in there}
 
-    def put_aside(self, path: Path) -> Path:
-        """Move something damaged into DIR/damaged under a name of its own, and return that."""
-        folder = made(self.directory / "damaged")
-        target = folder / f"{'-'.join(path.relative_to(self.directory).parts[1:])}.{time.time_ns()}"
-        with suppress(FileNotFoundError):  # another sweep was faster
-            path.rename(target)
-        return target
+    def put_aside(self, name: str) -> Path:
+        """Move the files of a damaged cell into a folder of its own in DIR/damaged, and return that."""
+        folder = made(made(self.directory / "damaged") / f"{name}.{time.time_ns()}")
+        beside = [self.directory / place / f"{name}{ending}" for place, ending in BESIDE.values()]
+        for path in (self._own(name), *beside):
+            with suppress(FileNotFoundError):  # another sweep was faster
+                path.rename(folder / path.name)
+        return folder
 
     def pack(self) -> list[str]:
-        """Pack the finished cells that are not packed yet, see `packed.add`; returns their names.
+        """Move the finished cells into parts, one for each arm of a setting; returns their names.
+
+        A part is written once and read back before the files of its cells go. Cells that are finished later make a part
+        of their own. A kill at any moment leaves each cell in at least one of both.
 
         Raises:
-            UserError: no result directory, or a damaged cell or table.
+            UserError: no result directory, or a damaged cell or part.
         """
         self.check()
         with alone(self.directory):
-            for left in self.directory.glob(".*.tmp"):  # by a packing that was killed
-                left.unlink()
-            packed = packed_records(self.directory)
-            new = {name: self.record(name) for name in self.finished() if name not in packed}
-            weights = {name: self.cells / name / WEIGHTS for name in new}
-            if new:
-                add(
-                    self.directory,
-                    new,
-                    {name: self.tables(name) for name in new},
-                    {name: path for name, path in weights.items() if path.exists()},
-                )
-        return list(new)
+            packed, groups = self._packed(), dict[str, list[str]]()
+            own = sorted(path.stem for path in self.cells.glob("*.parquet"))
+            for name in own:
+                self.tables(name)
+                groups.setdefault(part_of(self.record(name)["key"]), []).append(name)
+            for part, names in groups.items():
+                if new := [name for name in names if name not in packed]:
+                    path = made(self.parts) / f"{part}-{sha256_bytes(' '.join(new).encode())[:8]}.parquet"
+                    rows = pa.concat_tables(tables.read(self._own(name)) for name in new)
+                    write_file(path, tables.content({name: self.record(name) for name in new}, rows))
+                    asked_of(path, tables.frames, DamagedPart)
+                for name in names:
+                    self._own(name).unlink()
+        return [name for name in own if name not in packed]
 
 
-def seal(record: Mapping[str, Any]) -> bytes:
-    """A record as readable JSON whose first entry is the checksum of all bytes that follow."""
-    body = json.dumps(record, indent=1, allow_nan=False).removeprefix("{\n") + "\n"
-    return (HEAD % sha256_bytes(body.encode()) + body).encode()
-
-
-def read_cell(path: Path) -> dict[str, Any]:
-    """cell.json of a stored cell, after checking all its files against their checksums.
-
-    Raises:
-        DamagedCell: a file is missing, unreadable or changed.
-    """
-    file = path / CELL
-    try:
-        with open_regular(file) as opened:
-            data = opened.read()
-        begin = len(HEAD % ("0" * 64))
-        if data[:begin] != (HEAD % sha256_bytes(data[begin:])).encode():
-            raise DamagedCell(file, "its checksum does not match")
-        record: dict[str, Any] = parsed(data)
-        del record["checksum"]
-        check_record(path.name, record)
-        for file, checksum in ((path / name, checksum) for name, checksum in record["files"].items()):
-            found = sha256_file(file)
-            if found != checksum:
-                raise DamagedCell(file, "its checksum does not match")
-    except OSError as error:
-        raise DamagedCell(file, error.strerror or "unreadable") from None
-    except (ValueError, TypeError) as error:
-        raise DamagedCell(file, str(error)) from None
-    return record
+def part_of(key: Mapping[str, Any]) -> str:
+    """The part that a cell belongs to, for example "sumo-highway-50-control", or of its setting "policies", "pairs"."""
+    return f"{setting(key)}-{'pairs' if 'pair' in key else key['arm'] or 'policies'}"
 
 
 def find_cell(word: str, names: Sequence[str]) -> str:
@@ -319,8 +325,8 @@ class Results:
     """All finished cells of a directory as tidy tables.
 
     episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
-    gate_episodes: the same of the scenarios that the gates are judged on, with GATE_COLUMNS alone.
-    cells: cell.json of each cell by name. failed: what went wrong in cells that are not finished, by name.
+    gate_episodes: the same of the scenarios that the gates are judged on.
+    cells: the record of each cell by name. failed: what went wrong in cells that are not finished, by name.
     expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).
     damaged: why cells cannot be read, by name.
     """
@@ -338,16 +344,16 @@ def load(directory: Path) -> Results:
     """Read and check all finished cells of a directory; damaged ones are named in `Results.damaged`.
 
     Raises:
-        UserError: no result directory, no finished cell in it that can be read, or a damaged packed table.
+        UserError: no result directory, no finished cell in it that can be read, or a damaged part.
     """
     store = Store(Path(directory))
     store.check()
     cells: dict[str, dict[str, Any]] = {}
-    tables: dict[str, dict[str, pd.DataFrame]] = {}
+    found: dict[str, dict[str, pd.DataFrame]] = {}
     damaged: dict[str, str] = {}
     for name in store.finished():
         try:
-            cells[name], tables[name] = store.record(name), store.tables(name, (EPISODES, GATES))
+            cells[name], found[name] = store.record(name), store.tables(name)
         except DamagedCell as error:
             damaged[name] = str(error)
     if not cells:
@@ -363,7 +369,7 @@ def load(directory: Path) -> Results:
     # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
     keys = keys.astype({"arm": "str", "seed": "Int64"}).set_index("cell", drop=False)
     episodes, gates = (
-        _concatenate({name: own[file] for name, own in tables.items() if file in own}, keys)
+        _concatenate({name: own[file] for name, own in found.items() if file in own}, keys)
         for file in (EPISODES, GATES)
     )
     return Results(

@@ -10,8 +10,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from agents.files import open_regular
-from experiments.support.files import read_text
+from experiments.support.files import opened, read_text
 
 LAST = 10_000  # bytes of a log that are looked at
 LOCK, PROGRESS, LOG = "lock", "progress.json", "log.txt"
@@ -31,7 +30,7 @@ def last_words(folder: Path) -> str:
         # A try begins by saying that nothing is done.
         if _changed(folder / LOG) < _changed(folder / PROGRESS):
             return ""
-        with open_regular(folder / LOG) as file:
+        with opened(folder / LOG) as file:
             file.seek(max(os.fstat(file.fileno()).st_size - LAST, 0))
             return file.read(LAST).decode(errors="replace").rstrip().rpartition("\n")[2]
     except OSError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import defaultdict
 from typing import Any
 
@@ -19,7 +18,7 @@ from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, pla
 from experiments.analysis.scores import Arms, Setting
 from experiments.study.design.grid import env_config
 from experiments.study.design.sheet import SHEETS
-from experiments.study.results.store import EPISODES, load
+from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic
@@ -179,7 +178,7 @@ def test_a_study_is_reported_while_it_runs(there: Any, settings: set[str], tmp_p
     )
     for cell in written:
         if not there(cell):
-            shutil.rmtree(tmp_path / "cells" / cell.name)
+            (tmp_path / "cells" / f"{cell.name}.parquet").unlink()
     found = analyse(load(tmp_path))
     assert set(found.effects["level_name"]) == settings
     assert set(found.notes["unfinished"]) == {f"sumo-u-turn-{name}" for name in {"3", "6"} - settings}
@@ -188,7 +187,7 @@ def test_a_study_is_reported_while_it_runs(there: Any, settings: set[str], tmp_p
 
 def test_before_any_setting_is_complete_the_command_says_so(tmp_path: Any) -> None:
     written = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, baselines=(), preset="second")
-    shutil.rmtree(tmp_path / "cells" / written[0].name)
+    (tmp_path / "cells" / f"{written[0].name}.parquet").unlink()
     with pytest.raises(UserError, match="no setting is complete yet"):
         analyse(load(tmp_path))
 
@@ -210,7 +209,7 @@ class TestStudy:
             home, {"highway": (1,), "u-turn": (1, 2)}, tests=10, further=("mixed",), preset="second"
         )
         [lost] = [cell.name for cell in cells if cell.slug == "sumo-u-turn-6-mixed-s2"]
-        (home / "cells" / lost / EPISODES).unlink()
+        (home / "cells" / f"{lost}.parquet").write_bytes(b"")
         return home
 
     @pytest.fixture(scope="class")

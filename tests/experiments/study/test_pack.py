@@ -1,35 +1,31 @@
-"""Packed cells: equal to what they were, read in their place, packed again with later ones, and named when damaged."""
+"""Parts: read as the cells were, written once, added to by others, whole after any kill, and named when damaged."""
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+import sys
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 
-from experiments.study.results import packed, store
-from experiments.study.results.packed import CELLS, MANIFEST
-from experiments.study.results.store import load
+from experiments.study.results import store, tables
+from experiments.study.results.store import Store, load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
-from tests.experiments.computed import TINY, damage, sweep_of, tasks_of
+from tests.experiments.computed import TINY, damage, sweep_of
 from tests.experiments.fake_env import make_env
 
-
-def pack(results: Path) -> list[str]:
-    """Pack the cells that are not, and leave the packed ones alone; returns the names of what was packed."""
-    names = store.Store(results).pack()
-    shutil.rmtree(results / "cells", ignore_errors=True)
-    return names
+PARTS = ["sumo-u-turn-3-control", "sumo-u-turn-3-policies", "sumo-u-turn-3-treatment"]
 
 
 def content(directory: Path) -> dict[str, Any]:
-    """All results as one, and the tables that no analysis reads."""
-    home, results = store.Store(directory), load(directory)
-    tables = {name: home.tables(name) for name in results.cells}
-    trained = [own[store.TRAINING].assign(cell=name) for name, own in tables.items() if store.TRAINING in own]
+    """All results as one, and the training that no analysis reads."""
+    home, results = Store(directory), load(directory)
+    trained = [home.training(name).assign(cell=name) for name in home.agents()]
     return {**vars(results), store.TRAINING: pd.concat(trained)}
 
 
@@ -41,22 +37,30 @@ def assert_same(one: dict[str, Any], other: dict[str, Any]) -> None:
             assert one[name] == other[name], name
 
 
-def test_packed_cells_are_read_as_they_were_and_nothing_is_deleted(results: Path) -> None:
-    before, files = content(results), {path for path in results.rglob("*") if path.is_file()}
-    assert store.Store(results).pack() == sorted(before["cells"])
-    assert files < {path for path in results.rglob("*") if path.is_file()}
+def test_packed_cells_are_read_as_they_were(results: Path) -> None:
+    before = content(results)
+    assert Store(results).pack() == sorted(before["cells"])
+    assert not list((results / "cells").iterdir())
+    assert [path.stem[:-9] for path in sorted((results / "parts").iterdir())] == PARTS
     assert_same(content(results), before)
-    shutil.rmtree(results / "cells")
-    assert_same(content(results), before)
-    agents = [name for name, cell in before["cells"].items() if cell["key"]["kind"] == "agent"]
-    assert all(store.Store(results).weights(name) is not None for name in agents)
-    assert store.Store(results).pack() == []
+    assert all(Store(results).weights(name) for name in Store(results).agents())
+    assert Store(results).pack() == []
 
 
-def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Another seed is computed, tested elsewhere with weights that are packed, and packed with the others."""
-    pack(results)
+def test_a_part_is_a_table_that_anybody_can_read(results: Path) -> None:
+    expected = load(results).episodes.groupby("cell")["distance"].max()
+    Store(results).pack()
+    found = pd.read_parquet(results / "parts").query("purpose == 'test'")
+    assert found.groupby("cell")["distance"].max().to_dict() == expected.to_dict()
+
+
+def test_a_sweep_goes_on_from_parts_which_are_never_written_again(
+    results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Another seed is computed, tested elsewhere with its weights, and packed beside the others."""
+    Store(results).pack()
     before = set(load(results).cells)
+    parts = {path: (path.stat().st_ino, path.read_bytes()) for path in (results / "parts").iterdir()}
     options = Options(out=results, **{**TINY, "dry_run": True, "seeds": 2})
     assert sweep(options, make_env=make_env, check=lambda _: None) == 0
     [row] = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("u-turn")]
@@ -67,52 +71,62 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     kinds = sorted(cell["key"]["kind"] for name, cell in found["cells"].items() if name in new)
     assert kinds == 2 * ["agent"] + 4 * ["test"]
     assert len(list((results / "cells").iterdir())) == len(new)
-    assert set(pack(results)) == new
+    assert set(Store(results).pack()) == new
     assert_same(content(results), found)
+    assert {path: (path.stat().st_ino, path.read_bytes()) for path in parts} == parts
 
 
-@pytest.mark.parametrize("file", [CELLS, store.EPISODES, store.GATES])
-def test_a_damaged_table_is_named(results: Path, file: str) -> None:
-    pack(results)
-    damage(results / file, "changed")
-    with pytest.raises(UserError, match=f"{file} is damaged .its checksum does not match.: restore it"):
+def test_a_damaged_part_is_named(results: Path) -> None:
+    Store(results).pack()
+    part = min((results / "parts").iterdir())
+    damage(part, "cut")
+    with pytest.raises(UserError, match=rf"{part.name} is damaged .*: restore it"):
         load(results)
 
 
-@pytest.mark.parametrize(
-    ("manifest", "message"),
-    [
-        ('{"layout": 99, "files": {}}', "is of layout 99, and this version reads layout 1"),
-        ('{"layout": 1}', "is damaged"),
-        ("[", "is damaged"),
-    ],
-)
-def test_an_unknown_or_damaged_manifest_is_named(results: Path, manifest: str, message: str) -> None:
-    store.Store(results).pack()
-    (results / MANIFEST).write_text(manifest)
-    with pytest.raises(UserError, match=message):
+OPERATIONS = ("open", "os.rename", "os.remove", "os.mkdir")
+
+
+def packs(directory: Path, operations: int) -> bool:
+    """Pack in a process that is killed after so many operations on the folder's files; whether it came to its end."""
+    left = operations
+
+    def kill(event: str, arguments: tuple[object, ...]) -> None:
+        nonlocal left
+        if event in OPERATIONS and str(directory) in str(arguments[0]):
+            left -= 1
+            if left < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    pid = os.fork()
+    if pid == 0:
+        sys.addaudithook(kill)
+        Store(directory).pack()
+        os._exit(0)
+    status = os.waitpid(pid, 0)[1]
+    assert status in (0, signal.SIGKILL)
+    return status == 0
+
+
+@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.long)])
+def test_a_packing_that_is_killed_anywhere_loses_nothing_and_is_done_by_the_same_command(
+    results: Path, tmp_path: Path, every: int
+) -> None:
+    before, operations, whole = content(results), 0, False
+    while not whole:
+        directory = shutil.copytree(results, tmp_path / str(operations))
+        whole = packs(directory, operations)
+        assert_same(content(directory), before)
+        Store(directory).pack()
+        assert_same(content(directory), before)
+        assert len(list((directory / "parts").glob("*.parquet"))) == len(PARTS)
+        assert not list((directory / "cells").iterdir())
+        operations += every
+    assert operations > 15
+
+
+def test_sizes_are_looked_at_before_reading(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few bytes can be unpacked to any number of rows."""
+    monkeypatch.setattr(tables, "ROWS", 5)
+    with pytest.raises(UserError, match="too many"):
         load(results)
-
-
-def test_what_does_not_read_back_equal_is_not_believed(results: Path, monkeypatch) -> None:
-    to_parquet = packed.as_parquet
-    monkeypatch.setattr(
-        packed, "as_parquet", lambda table: to_parquet(table.assign(length=1) if "length" in table else table)
-    )
-    with pytest.raises(UserError, match="does not read back as it was: nothing was packed"):
-        store.Store(results).pack()
-    assert not (results / MANIFEST).exists()
-
-
-def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results: Path) -> None:
-    """Their tables lack the column; beside others it is missing there."""
-    home = store.Store(results)
-    [old] = [task for task in tasks_of(results) if task.cell.policy == "idle"]
-    tables = home.tables(old.name)
-    tables[store.EPISODES] = tables[store.EPISODES].drop(columns="actions")
-    shutil.rmtree(home.cells / old.name)
-    home.write(old.cell, {}, tables)
-    before = content(results)
-    assert before["episodes"]["actions"].isna().sum() == 6
-    pack(results)
-    assert_same(content(results), before)

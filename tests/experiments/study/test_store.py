@@ -28,12 +28,12 @@ def cells(finished) -> list[grid.Cell]:
 
 def test_writing_twice_keeps_the_first(results, cells):
     home = store.Store(results)
-    path = results / "cells" / cells[-1].name
-    before = (path / store.CELL).read_bytes()
+    path = results / "cells" / f"{cells[-1].name}.parquet"
+    before = path.read_bytes()
     tables = home.tables(cells[-1].name)
     other = tables[store.EPISODES].assign(distance=0.0)
     home.write(cells[-1], {"timing": {}}, {**tables, store.EPISODES: other})
-    assert (path / store.CELL).read_bytes() == before
+    assert path.read_bytes() == before
     assert not list(home.work.glob("*/*"))
 
 
@@ -56,27 +56,49 @@ def test_what_a_reader_would_refuse_is_not_stored(finished, tmp_path, cells, cha
     assert not list(tmp_path.glob("cells/*"))
 
 
-@pytest.mark.parametrize("file", [store.CELL, store.EPISODES, store.TRAINING, store.WEIGHTS])
+@pytest.mark.parametrize("place", ["cells/{}.parquet", "training/{}.parquet", "weights/{}.npz"])
 @pytest.mark.parametrize("how", ["cut", "gone", "changed", "empty"])
-def test_damage_is_told_in_one_line_that_names_file_and_remedy(results, cells, file, how):
-    path = results / "cells" / cells[0].name / file
-    damage(path, how)
+def test_damage_is_told_in_one_line_that_names_file_and_remedy(results, cells, place, how):
+    name = cells[0].name
+    damage(path := results / place.format(name), how)
+    if (place[:5], how) == ("cells", "gone"):
+        assert not store.Store(results).is_whole(name)
+        return
     with pytest.raises(store.DamagedCell) as error:
-        store.Store(results).record(cells[0].name)
+        store.Store(results).is_whole(name)
     message = str(error.value)
     assert "\n" not in message
-    assert str(path.parent) in message
+    assert str(path if how != "gone" else results / "cells" / name) in message
     assert "run the sweep again" in message
-    found = load(results)
-    assert found.damaged == {cells[0].name: message}
-    assert set(found.episodes["cell"]) == set(found.cells) == {cell.name for cell in cells[1:]}
+    if place.startswith("cells"):
+        found = load(results)
+        assert found.damaged == {name: message}
+        assert set(found.episodes["cell"]) == set(found.cells) == {cell.name for cell in cells[1:]}
+
+
+def test_a_changed_byte_is_noticed_wherever_it_is(results, cells):
+    """Or makes no difference."""
+    home, name = store.Store(results), cells[0].name
+    path = home.cells / f"{name}.parquet"
+    content, record, tables = path.read_bytes(), home.record(name), home.tables(name)
+    noticed = 0
+    for place in np.random.default_rng(0).choice(len(content), 150, replace=False):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+        try:
+            found = home.tables(name)
+        except store.DamagedCell:
+            noticed += 1
+        else:
+            assert home.record(name) == record
+            assert all(found[file].equals(tables[file]) for file in tables)
+    assert noticed > 100
 
 
 def test_a_cell_under_a_wrong_name_is_noticed(results, cells):
-    path = results / "cells" / cells[0].name
-    other = path.with_name("sumo-highway-50-control-s9-0123456789ab")
+    path = results / "cells" / f"{cells[0].name}.parquet"
+    other = path.with_stem("sumo-highway-50-control-s9-0123456789ab")
     shutil.move(path, other)
-    assert f"its content is that of {path.name}" in load(results).damaged[other.name]
+    assert f"its content is that of {path.stem}" in load(results).damaged[other.stem]
 
 
 def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(results):
@@ -85,11 +107,14 @@ def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(results):
         load(results)
 
 
-def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_again(tmp_path, cells):
+def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_again(finished, tmp_path, cells):
     home = store.Store(tmp_path)
     first, _, third, *rest = cells
     highway = [task.cell for task in tasks_of(tmp_path, tasks=("highway",))]
-    (home.cells / first.name).mkdir(parents=True)
+    shutil.copytree(finished / "cells", home.cells)
+    for cell in cells:
+        if cell != first:
+            (home.cells / f"{cell.name}.parquet").unlink()
     home.write_sweep("all", [*highway, *cells])
     home.write_sweep("third", [third])
     home.write_sweep("rest", rest)
@@ -157,7 +182,6 @@ def interrupted(tmp_path_factory) -> Path:
         ("progress.json", "changed"),
         ("lock", "gone"),
         ("log.txt", "cut"),
-        ("finished-x-1/cell.json", "empty"),
     ],
 )
 def test_a_damaged_working_file_costs_nothing(finished, interrupted, tmp_path, name, how):
@@ -192,7 +216,11 @@ def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
     for number, origin in enumerate((finished, interrupted)):
         directory = tmp_path / str(number)
         shutil.copytree(origin, directory)
-        for path in [*directory.glob("cells/*/*"), *directory.glob("work/*/*"), directory / "sweep.json"]:
+        folders = ("cells/*", "weights/*", "training/*", "work/*/*")
+        for path in [
+            *(path for place in folders for path in directory.glob(place)),
+            directory / "sweep.json",
+        ]:
             if path.suffix == ".npz":
                 with path.open("wb") as file:
                     np.savez(file, settings=bomb, weights=bomb)
@@ -202,5 +230,5 @@ def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
             load(directory)
         assert {attempt(task).state for task in tasks_of(directory)} == {"done"}
     assert not trace.exists()
-    np.load(next(tmp_path.glob("0/damaged/*/weights.npz")), allow_pickle=True)["settings"]
+    np.load(next(tmp_path.glob("0/damaged/*/*.npz")), allow_pickle=True)["settings"]
     assert trace.exists()  # the trap works

@@ -1,0 +1,165 @@
+"""A file of results: the episodes of one or of several cells as rows, and the records of these cells.
+
+It is a parquet file with the columns of `schema.SCHEMA`. Its metadata has "records", the record of each cell by name as
+JSON, and "sha256", the checksum of this text and of all values. Nothing in it is unpickled; links are not followed, and
+sizes are looked at before anything is read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from agents.schema import Wrong, check, parsed
+from experiments.study.results.schema import PURPOSES, SCHEMA, check_record, check_table
+from experiments.support.errors import UserError
+from experiments.support.files import opened
+
+T = TypeVar("T")
+ROWS, BYTES = 2**22, 2**31  # of a file at most: rows, and bytes when it is unpacked
+
+
+class DamagedCell(UserError):
+    """A stored cell that cannot be what was written; the message names the file and the remedy."""
+
+    def __init__(self, file: Path, reason: str) -> None:
+        super().__init__(
+            f"{file} is damaged ({reason}): run the sweep again, which puts it aside and computes its cell again"
+        )
+        self.file, self.reason = file, reason
+
+
+class DamagedPart(UserError):
+    """A part that cannot be what was written."""
+
+    def __init__(self, file: Path, reason: str) -> None:
+        super().__init__(
+            f"{file} is damaged ({reason}): restore it from a copy (git checkout {file}, for a published one), or "
+            "remove it, and the same sweep computes its cells again"
+        )
+
+
+def asked_of(path: Path, asked: Callable[[Path], T], damaged: Callable[[Path, str], UserError]) -> T:
+    """What is asked of a file. Raises what `damaged` makes of a reason."""
+    try:
+        return asked(path)
+    except OSError as error:
+        raise damaged(path, error.strerror or "unreadable") from None
+    except (ValueError, TypeError, KeyError) as error:
+        raise damaged(path, str(error)) from None
+
+
+def content(records: Mapping[str, Mapping[str, Any]], table: pa.Table) -> bytes:
+    """The bytes of a file with these cells. Raises Wrong where it could not be read."""
+    for name, record in records.items():
+        check_record(name, record)
+    check_table(table, records)
+    text, data = json.dumps(records, allow_nan=False), io.BytesIO()
+    with pq.ParquetWriter(
+        data, table.schema, compression="zstd", write_statistics=False, store_schema=False
+    ) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({"records": text, "sha256": digest(table, text)})
+    return data.getvalue()
+
+
+def digest(table: pa.Table, text: str = "") -> str:
+    """SHA-256 of the values of a table, however they are stored, and of a text."""
+    found = hashlib.sha256(text.encode())
+    for name in table.column_names:
+        column = table[name]
+        if pa.types.is_string(column.type):
+            words = column.to_pylist()
+            lengths = [-1 if word is None else len(word) for word in words]
+            found.update("".join(filter(None, words)).encode())
+            values = np.array(lengths, dtype=np.int64)
+        else:
+            values = column.to_numpy()
+        found.update(f"{name} {column.type} {len(column)}".encode() + np.ascontiguousarray(values).tobytes())
+    return found.hexdigest()
+
+
+def records(path: Path) -> dict[str, dict[str, Any]]:
+    """The records in a file by name. Raises Wrong; OSError."""
+    about = path.lstat()
+    return _records(path, about.st_ino, about.st_mtime_ns, about.st_size)
+
+
+def frames(path: Path) -> dict[str, dict[str, pd.DataFrame]]:
+    """The tables in a file, by cell and by name, after comparing all of it with its checksum. Raises Wrong; OSError."""
+    about = path.lstat()
+    return _frames(path, about.st_ino, about.st_mtime_ns, about.st_size)
+
+
+@lru_cache(4096)
+def _records(path: Path, *about: int) -> dict[str, dict[str, Any]]:
+    with opened(path) as file:
+        text, _ = _metadata(_parquet(file))
+    found: dict[str, dict[str, Any]] = parsed(text)
+    check(found, dict)
+    for name, record in found.items():
+        check_record(name, record)
+    return found
+
+
+@lru_cache(8)
+def _frames(path: Path, *about: int) -> dict[str, dict[str, pd.DataFrame]]:
+    table, found = read(path), _records(path, *about)
+    check_table(table, found)
+    rows = dict(list(table.to_pandas().groupby(["cell", "purpose"], sort=False)))
+    return {
+        name: {
+            file: rows[name, purpose].drop(columns=["cell", "purpose"]).reset_index(drop=True)
+            for file, purpose in PURPOSES.items()
+            if (name, purpose) in rows
+        }
+        for name in found
+    }
+
+
+def read(path: Path) -> pa.Table:
+    """The rows of a file, after comparing them and the records with its checksum. Raises Wrong; OSError."""
+    with opened(path) as file:
+        parquet = _parquet(file)
+        text, expected = _metadata(parquet)
+        columns = parquet.schema_arrow.remove_metadata()
+        if columns != SCHEMA:
+            odd = [str(field) for field in SCHEMA if field not in columns] or columns.names
+            raise Wrong(f"its columns are not those of `results.schema.SCHEMA`: {', '.join(odd[:3])}")
+        unpacked = sum(parquet.metadata.row_group(k).total_byte_size for k in range(parquet.num_row_groups))
+        if parquet.metadata.num_rows > ROWS or unpacked > BYTES:
+            raise Wrong(f"it has {parquet.metadata.num_rows} rows and {unpacked} bytes: too many")
+        try:
+            table = parquet.read()
+            found = digest(table, text)
+        except Exception as error:  # pyarrow stumbles over damage in many ways
+            raise Wrong(f"it is no table: {str(error).partition(chr(10))[0]}") from None
+    if found != expected:
+        raise Wrong("its checksum does not match")
+    return table
+
+
+def _parquet(file: io.BufferedReader) -> pq.ParquetFile:
+    try:
+        return pq.ParquetFile(file)
+    except Exception as error:
+        raise Wrong(f"it is no table: {str(error).partition(chr(10))[0]}") from None
+
+
+def _metadata(parquet: pq.ParquetFile) -> tuple[str, str]:
+    """The text of the records, and the checksum."""
+    metadata = parquet.metadata.metadata or {}
+    try:
+        return metadata[b"records"].decode(), metadata[b"sha256"].decode()
+    except (KeyError, UnicodeDecodeError):
+        raise Wrong("it has no records") from None

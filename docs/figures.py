@@ -2,8 +2,6 @@
 
 docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under highway-env's centre lines (bright, dashed)
 docs/img/collisions.png       how contacts are looked for
-docs/img/effects.svg          the effect on the crash rate in the published study, as in its appendix
-docs/img/arms.svg             the crash rate against the dose of risk in training, as in its appendix
 """
 
 from __future__ import annotations
@@ -26,9 +24,6 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
-from experiments.analysis.analysis import stored
-from experiments.reporting.figures import dose_response, effects_by_setting
-from experiments.reporting.tables import main
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
 from sumo_env.networks.lanes import Point
@@ -192,22 +187,6 @@ def collisions() -> None:
     plt.close(figure)
 
 
-# -- the published study -----------------------------------------------------------------------------------------------
-
-
-def study() -> None:
-    """The effect on the crash rate in every setting, and that of the dose in training, on a white ground."""
-    analysis = stored(ROOT / "results" / "standard" / "analysis.json")
-    drawn = {
-        "effects": effects_by_setting(main(analysis.effects, "sumo"), "sumo"),
-        "arms": dose_response(analysis.policies, "sumo"),
-    }
-    for name, svg in drawn.items():
-        on_white = svg.replace("<svg ", '<svg style="background: white" ', 1)
-        (IMAGES / f"{name}.svg").write_text(on_white + "\n")
-
-
 if __name__ == "__main__":
     networks()
     collisions()
-    study()

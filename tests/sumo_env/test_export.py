@@ -105,11 +105,6 @@ def test_an_export_leaves_the_episode_as_it_is(tmp_path: Path) -> None:
     assert rewards == expected
 
 
-def test_there_is_nothing_to_export_before_a_reset(tmp_path: Path) -> None:
-    with pytest.raises(gym.error.ResetNeeded):
-        DrivingEnv("u-turn").export(tmp_path)
-
-
 def test_an_export_follows_no_link(tmp_path: Path) -> None:
     precious = tmp_path / "precious"
     precious.write_text("mine")

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import sumo_env  # noqa: F401  (likewise)
-from sumo_env.config import ConfigError
 from tests.sumo_env.replica.pairs import EQUAL, SLOW, SLOW_EQUAL
 
 GRID: dict[str, Any] = {"type": "OccupancyGrid"}
@@ -67,22 +66,3 @@ def test_on_sumo_it_says_where_cars_are_and_how_fast() -> None:
         np.testing.assert_array_equal(grid[0], cells)
         assert grid[3].any(axis=0).sum() >= 3  # the road's lanes, two of which may share a row of cells
         assert (grid[1:3][:, cells == 0.0] == 0.0).all()
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"features": ["speed"]}, "unknown observation feature 'speed'"),
-        ({"features": "vx"}, "a list of names"),
-        ({"absolute": True}, "'absolute' of an OccupancyGrid"),
-        ({"grid_size": [[-5, 5]]}, "'grid_size' must be"),
-        ({"grid_step": [0, 5]}, "'grid_step'"),
-        ({"grid_step": [1e-9, 5]}, "1 to 1000 cells"),
-        ({"grid_size": "wide"}, "'grid_size' must be"),
-        ({"features_range": {"vx": [3]}}, "'features_range' must map"),
-        ({"grid_sizes": [[-5, 5], [-5, 5]]}, "unknown key 'grid_sizes'.*did you mean 'grid_size'"),
-    ],
-)
-def test_mistakes_are_named(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        gym.make("sumo/u-turn-v0", config={"observation": {**GRID, **change}})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,15 +13,12 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import SimulatorError
-from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
-from sumo_env.traffic.scenario import VehicleSpec
 from tests.sumo_env.rollout import drive, observations
-from tests.sumo_env.scenarios import draw, drivers, with_leader
+from tests.sumo_env.scenarios import draw, with_leader
 
 # -- tasks and drivers -------------------------------------------------------------------------------------
 
@@ -98,21 +94,6 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
     assert types["car-12x2.5"] == "12" and types["car"] is None
 
 
-@pytest.mark.parametrize(
-    ("attributes", "message"),
-    [
-        ({"acell": 2.0}, "'accel'"),
-        ({"maxspeed": 2.0}, "'maxSpeed'"),
-        ({"zzz": 2.0}, "see https"),
-        ({"speedFactor": 2.0}, "no effect"),
-        ({"length": 200.0}, "length of 'odd' must be from"),
-    ],
-)
-def test_attributes_that_sumo_would_ignore_are_named(attributes, message) -> None:
-    with pytest.raises(ValueError, match=message):
-        drivers("highway", 0.0)[0].like("odd", attributes)
-
-
 def highway(change: Callable[[Any], Any]) -> Highway:
     """The highway, with its vehicles as a function changes them."""
 
@@ -121,25 +102,6 @@ def highway(change: Callable[[Any], Any]) -> Highway:
             return [change(spec) for spec in super().vehicles(*arguments)]
 
     return Changed()
-
-
-def test_mistakes_in_a_task_of_ones_own_are_named() -> None:
-    for name in ("v0", "ego"):
-        env = DrivingEnv(highway(partial(VehicleSpec._replace, id=name)))
-        with pytest.raises(ConfigError, match=f"two vehicles of the task 'highway' are called '{name}'"):
-            env.reset(seed=0)
-    task = Highway()
-    with pytest.raises(
-        ConfigError, match=r"'ego' cannot be placed: the road 'highway' has no lane \('0', '1', 9\)"
-    ):
-        make_on_lane(task.road(task.defaults), "ego", ("0", "1", 9), 10.0, 9.0, ego_driver(task))
-
-
-def test_a_class_in_place_of_a_task_is_named() -> None:
-    with pytest.raises(ConfigError, match=r"not its class: Highway\(\)"):
-        DrivingEnv(Highway)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=r"Highway\(\)"):
-        sumo_env.register("test/class-v0", Highway)
 
 
 @pytest.mark.parametrize(
@@ -181,43 +143,3 @@ def test_sumo_writes_its_files(tmp_path: Path) -> None:
         known = {trip.get("id") for trip in ElementTree.parse(trips).findall("tripinfo")}
         assert known == {"ego", *(f"v{k}" for k in range(5))}
         assert ElementTree.parse(loop).findall("interval")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--net-file", "x.net.xml"], "--net-file is the environment's own.*SumoDrivingEnv"),
-        (["--step-length=0.5"], "--step-length is the environment's own"),
-        ([3], "list of strings"),
-    ],
-)
-def test_options_that_cannot_work_are_refused(options: Any, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        DrivingEnv("highway", sumo_options=options)
-
-
-@pytest.mark.parametrize("task", ["highway", Slalom()])
-@pytest.mark.parametrize(
-    "option",
-    [
-        "--scale=2",
-        "--random-depart-offset=5",
-        "--max-num-vehicles=3",
-        "--default.action-step-length=1",
-        "--random",
-    ],
-)
-def test_options_for_the_vehicles_of_files_are_refused_where_there_are_none(task: Any, option: str) -> None:
-    with pytest.raises(ConfigError, match=f"{option.partition('=')[0]} has no effect here"):
-        DrivingEnv(task, sumo_options=[option])
-
-
-def test_the_seed_of_a_reset_is_the_only_one() -> None:
-    with pytest.raises(ConfigError, match=r"--seed has no effect here.* by the seed of reset\(\)"):
-        DrivingEnv("highway", sumo_options=["--seed", "7"])
-
-
-def test_a_mistyped_option_is_named() -> None:
-    env = DrivingEnv("highway", sumo_options=["--tripinfo-outptu", "trips.xml"])
-    with pytest.raises(SimulatorError, match=r"--tripinfo-outptu=trips\.xml"):
-        env.reset(seed=0)

@@ -242,40 +242,6 @@ def test_all_cars_have_one_configuration() -> None:
         assert truncated and env.step((1, 1))[1] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ({"controlled_vehicles": 2}, "MultiAgentAction"),
-        ({"controlled_vehicles": 0}, "whole number from 1 on"),
-        (tuples(META, SEEN, controlled_vehicles=9), "is at most 4"),
-    ],
-)
-def test_what_tuples_cannot_be_is_an_error(config: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        gym.make("sumo/intersection-v0", config=config).reset(seed=0)
-
-
-@pytest.mark.parametrize(
-    ("id", "keywords", "message"),
-    [
-        ("replica/highway-v0", {"remove_crashed": True}, "crashed cars stay on the road"),
-        ("replica/highway-v0", {"live": "sumo-gui"}, "live: there is no SUMO on the replica"),
-        ("sumo/highway-v0", {"output_dir": "out"}, "output_dir is for networks of your own"),
-        (
-            "sumo/highway-v0",
-            {"config": {"controlled_vehicles": 2, "manual_control": True}},
-            "'manual_control' drives one car",
-        ),
-        ("sumo/highway-v0", {"live": "gui"}, "live must be None or 'sumo-gui'"),
-        ("CartPole-v1", {}, "not an environment of sumo_env"),
-        ("sumo/two-way-v0", {"config": {"controlled_vehicles": 3}}, "is at most 2"),
-    ],
-)
-def test_what_parallel_env_cannot_make_is_an_error(id: str, keywords: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        sumo_env.parallel_env(id, **keywords).reset(seed=0)
-
-
 # -- networks of one's own -----------------------------------------------------------------------------------------
 
 

@@ -13,7 +13,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from experiments.backends import make_env
-from experiments.support.errors import UserError
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import states
 from sumo_env.env import DrivingEnv
@@ -40,11 +39,6 @@ def test_it_is_an_environment(task: str) -> None:
     check_env(env, skip_render_check=True)
     assert isinstance(env, DrivingEnv)
     assert env.config["simulation_frequency"] == 15  # highway-env's
-
-
-def test_an_unknown_task_is_named() -> None:
-    with pytest.raises(UserError, match="unknown task"):
-        make("uturn")
 
 
 # -- the simulator --------------------------------------------------------------------------------------------
@@ -140,17 +134,6 @@ def test_stale_machine_code_that_cannot_be_removed_is_not_used(
     assert square(3.0) == 9.0
     machine_code: Any = square
     assert machine_code.stats.cache_path is None and index.exists()
-
-
-def test_a_simulator_that_was_closed_or_never_reset_says_so() -> None:
-    with pytest.raises(RuntimeError, match="reset"):
-        Replica().step({"ego": EgoCommand(20.0, ("0", "1", 0))})
-    simulator, scenario = start("u-turn")
-    simulator.close()
-    with pytest.raises(RuntimeError, match="reset"):
-        simulator.step({"ego": command(scenario)})
-    simulator.reset(scenario)
-    simulator.step({"ego": command(scenario)})
 
 
 def test_a_simulator_can_be_sent_to_another_process() -> None:

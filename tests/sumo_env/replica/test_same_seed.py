@@ -96,26 +96,6 @@ def test_a_driven_episode_is_a_scenario_that_can_be_driven_again(tmp_path: Path)
         np.testing.assert_array_equal(again.step(0)[0], observation)
 
 
-@pytest.mark.parametrize(
-    ("choice", "message"),
-    [
-        ({"scenarios": "stock"}, "unknown scenarios 'stock'"),
-        ({"variant": "paths"}, "did you mean 'path'"),
-        ({"risk_law": "lineal"}, "did you mean 'linear'"),
-        ({"config": {"risk": 1.0}}, 'scenarios="seeded"'),
-        (
-            {"config": {"observation": {"type": "LidarObservation"}}},
-            "'LidarObservation' of highway-env is not here",
-        ),
-        ({"config": {"action": {"type": "MultiAgentAction"}}}, "'MultiAgentAction' needs 'action_config'"),
-        ({"config": {"controlled_vehicles": 2}}, "'MultiAgentAction' with an 'action_config'"),
-    ],
-)
-def test_what_is_refused_is_named(choice: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        gym.make("replica/roundabout-v0", **choice)
-
-
 def test_what_is_refused_leaves_the_configuration_as_it_was() -> None:
     env: Any = gym.make("replica/u-turn-v0").unwrapped
     before = copy.deepcopy(env.config)

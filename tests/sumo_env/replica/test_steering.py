@@ -19,8 +19,7 @@ from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
 from experiments.backends import make_env
-from sumo_env.config import ConfigError, ignore
-from sumo_env.env import DrivingEnv
+from sumo_env.config import ignore
 from sumo_env.replica.env import ReplicaEnv
 
 from .pairs import EQUAL, SLOW_EQUAL, episode, unfused
@@ -211,14 +210,6 @@ def test_a_batch_drives_the_episodes_of_single_environments(
         assert_equal(*(env.step(actions) for env in (ours, theirs)))
 
 
-def test_a_batch_refuses_what_is_no_action() -> None:
-    envs = gym.make_vec("replica/highway-v0", num_envs=2, config={"action": STEERING})
-    envs.reset(seed=0)
-    for actions in ([[0.0, 0.0]], [0.0, 0.0], [[0.0, math.nan], [0.0, 0.0]]):
-        with pytest.raises(ValueError, match=r"2 of Box|finite numbers"):
-            envs.step(actions)
-
-
 # -- the type of action --------------------------------------------------------------------------------------------
 
 
@@ -274,51 +265,7 @@ def test_info_and_the_ego_are_as_in_highway_env() -> None:
     assert env.get_available_actions() == []
 
 
-@pytest.mark.parametrize("action", [ACTIONS[1], ACTIONS[3], ACTIONS[-1]], ids=str)
-def test_on_sumo_steering_is_an_error_that_names_it(action: dict[str, Any]) -> None:
-    """Without an angle of the wheels these types change lanes (`tests.sumo_env.test_control`)."""
-    with pytest.raises(ConfigError, match=rf"{action['type']}.*steering is the replica's.*replica/\*"):
-        DrivingEnv("highway", {"action": action})
-
-
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ({"action": {**STEERING, "longitudinal": False, "lateral": False}}, "longitudinal, lateral or both"),
-        ({"action": {**STEERING, "steering_range": [0.1]}}, "'steering_range' must be two rising numbers"),
-        ({"action": {**STEERING, "acceleration_range": [2.0, -2.0]}}, "two rising numbers"),
-        ({"action": {**STEERING, "speed_range": "fast"}}, "'speed_range' must be two rising numbers"),
-        (
-            {"action": {"type": "DiscreteAction", "actions_per_axis": 2.5}},
-            "'actions_per_axis' must be a whole",
-        ),
-        ({"action": {"type": "DiscreteAction", "steering_rang": [0, 1]}}, "mean 'steering_range'"),
-        ({"action": STEERING, "observation": {"type": "TimeToCollision"}}, "needs target speeds"),
-    ],
-)
-def test_what_is_refused_is_named(config: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        gym.make("replica/highway-v0", config=config)
-    with pytest.raises(ConfigError, match="no version 3 of 'u-turn'"):
-        ReplicaEnv("u-turn", version=3)
-
-
 def test_grids_of_speeds_are_not_in_highway_env_either() -> None:
     ignore.cache_clear()
     with pytest.warns(UserWarning, match="'speed_range' has no effect on the action type 'DiscreteAction'"):
         gym.make("replica/highway-v0", config={"action": {"type": "DiscreteAction", "speed_range": [0, 1]}})
-
-
-@pytest.mark.parametrize(
-    ("type", "action"),
-    [
-        ("ContinuousAction", 1), ("ContinuousAction", [0.1]), ("ContinuousAction", [0.1, math.inf]),
-        ("ContinuousAction", ["a", "b"]), ("DiscreteAction", 9), ("DiscreteAction", -1), ("DiscreteAction", 0.5),
-    ],
-)  # fmt: skip
-def test_what_is_no_action_is_an_error(type: str, action: Any) -> None:
-    env = gym.make("replica/highway-v0", config={"action": {"type": type}}).unwrapped
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="action must be"):
-        env.step(action)
-    env.step(env.action_space.sample())

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo import options
@@ -170,13 +169,6 @@ def test_another_version_of_sumo_is_an_error(
     monkeypatch.setattr(options, "version", version)
     with pytest.raises(ImportError, match=words):
         DrivingEnv("u-turn", live="sumo-gui")
-
-
-def test_other_windows_and_simulators_have_none() -> None:
-    with pytest.raises(ConfigError, match="live must be None or 'sumo-gui'"):
-        DrivingEnv("u-turn", live="netedit")
-    with pytest.raises(ConfigError, match="live: there is no SUMO on the replica"):
-        gym.make("replica/u-turn-v0", live="sumo-gui")
 
 
 def test_a_script_that_ends_leaves_no_window() -> None:

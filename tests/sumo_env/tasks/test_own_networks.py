@@ -62,8 +62,6 @@ def test_what_only_sumo_can_drive_says_so_elsewhere(blocks: Path) -> None:
     env = DrivingEnv(NetworkTask(blocks, ROUTES, EGO), simulator=Replica())
     with pytest.raises(TypeError, match="other networks need SUMO"):
         env.reset(seed=0)
-    with pytest.raises(ValueError, match="leave out `simulator`"):
-        DrivingEnv("highway", simulator=Replica(), sumo_options=["--tripinfo-output=trips.xml"])
 
 
 def test_lanes_limits_and_junctions_are_read(blocks: Path, merge: Path) -> None:

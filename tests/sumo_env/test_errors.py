@@ -1,0 +1,294 @@
+"""What is refused: a row is what a user does, the type of the error, and the word in it that says what to do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import sumo_env
+from experiments.backends import make_env
+from experiments.support.errors import UserError
+from sumo_env import hints
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv
+from sumo_env.replica.env import ReplicaEnv
+from sumo_env.replica.simulator import Replica
+from sumo_env.simulator import EgoCommand, SimulatorError
+from sumo_env.tasks.base import ego_driver, make_on_lane
+from sumo_env.tasks.highway import Highway
+from sumo_env.traffic.scenario import VehicleSpec
+from tests.sumo_env.scenarios import drivers
+
+META, PEDALS, GRID = {"type": "DiscreteMetaAction"}, {"type": "ContinuousAction"}, {"type": "OccupancyGrid"}
+TABLE, STEPS = {"type": "Kinematics"}, {"type": "DiscreteAction"}
+
+
+def acts(kind: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"action": {**kind, **more}}
+
+
+def sees(kind: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"observation": {**kind, **more}}
+
+
+def both(action: dict[str, Any], observation: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """Tuples, of several learning cars."""
+    cars = acts({"type": "MultiAgentAction"}, action_config=action)
+    return {**cars, **sees({"type": "MultiAgentObservation"}, observation_config=observation), **more}
+
+
+CONFIGS: list[tuple[str, Any, str]] = [
+    ("sumo/highway", {"vehicle_count": 3}, "did you mean 'vehicles_count'"),
+    ("sumo/highway", {3: 3}, "unknown config key 3"),
+    ("sumo/highway", {"absolute": True}, "belongs in config['observation']"),
+    ("sumo/highway", [("vehicles_count", 3)], "must be a dict"),
+    ("sumo/highway", {"vehicles_count": "50"}, "a number"),
+    ("sumo/highway", {"vehicles_count": 2.5}, "whole number"),
+    ("sumo/highway", {"duration": 0}, "(0, 100000]"),
+    ("sumo/highway", {"lanes_count": 9}, "one of"),
+    ("sumo/highway", {"initial_lane_id": 4}, "'lanes_count'"),
+    ("sumo/highway", {"risk": 1.5}, "must lie in"),
+    ("sumo/highway", {"policy_frequency": 16}, "'simulation_frequency' (15)"),
+    ("sumo/highway", {"policy_frequency": 15, "simulation_frequency": 10}, "at least"),
+    ("sumo/highway", {"normalize_reward": "yes"}, "True or False"),
+    ("sumo/highway", {"centering_position": 0.3}, "2 numbers"),
+    ("sumo/highway", {"ego_spacing": 1e9}, "not on route"),
+    ("sumo/highway", {"reward_speed_range": [0, 0]}, "two different speeds"),
+    ("sumo/highway", {"collision_reward": 0.5}, "cannot be normalised"),
+    ("sumo/highway", {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "SUMO drives"),
+    ("sumo/highway", {"drivers": "human"}, "known: highway-env, measured"),
+    ("sumo/highway", {"manual_control": True}, "render_mode='human'"),
+    ("sumo/highway", {"controlled_vehicles": 3}, "sumo_env.parallel_env"),
+    ("sumo/two-way", {"road_length": 5000.0}, "road_length"),
+    ("sumo/two-way", {"vehicles_count": 500}, "do not fit"),
+    ("sumo/u-turn", {"vehicles_count": 13}, "at most 12"),
+    ("sumo/u-turn", {"simulation_frequency": 10**9}, "must lie in"),
+    ("sumo/roundabout", {"incoming_vehicle_destination": 5}, "0, 1 or 2"),
+    ("sumo/intersection", {"destination": "o9"}, "'o1', 'o2', 'o3' or None"),
+    ("replica/two-way", {"risk": 1.0}, 'scenarios="seeded"'),
+    # observations
+    ("sumo/highway", {"observation": "Kinematics"}, "must be a dict"),
+    ("sumo/highway", {"observation": {"vehicles_count": 3}}, "'type'"),
+    ("sumo/highway", sees({"type": "Kinematic"}), "did you mean 'Kinematics'"),
+    ("sumo/highway", sees(TABLE, features=["presense"]), "mean 'presence'"),
+    ("sumo/highway", sees(TABLE, features=["lane_end"]), "lane_end"),
+    ("sumo/highway", sees(TABLE, features=object), "list of names"),
+    ("sumo/highway", sees(TABLE, order="random"), "shuffled, sorted"),
+    ("sumo/highway", sees(TABLE, features_range={"x": 100}), "low, high"),
+    ("sumo/highway", sees(TABLE, features_range={"vx": [0, 0]}), "low, high"),
+    ("sumo/highway", sees(TABLE, vehicles_count=10**9), "from 1 to 10000"),
+    ("sumo/highway", sees({"type": "GrayscaleObservation"}), "AddRenderObservation"),
+    ("sumo/intersection", sees({"type": "LidarObservation"}), "is not here"),
+    ("sumo/u-turn", sees(GRID, features=["speed"]), "'speed'"),
+    ("sumo/u-turn", sees(GRID, features="vx"), "a list of names"),
+    ("sumo/u-turn", sees(GRID, absolute=True), "'absolute'"),
+    ("sumo/u-turn", sees(GRID, grid_size=[[-5, 5]]), "'grid_size'"),
+    ("sumo/u-turn", sees(GRID, grid_step=[0, 5]), "'grid_step'"),
+    ("sumo/u-turn", sees(GRID, grid_step=[1e-9, 5]), "1 to 1000 cells"),
+    ("sumo/u-turn", sees(GRID, features_range={"vx": [3]}), "'features_range'"),
+    ("sumo/u-turn", sees(GRID, grid_sizes=[[-5, 5]] * 2), "did you mean 'grid_size'"),
+    # actions
+    ("sumo/highway", acts(META, target_speeds=[30, 20]), "rising numbers"),
+    ("sumo/highway", acts(META, target_speeds=[20, math.nan]), "rising numbers"),
+    ("sumo/highway", acts(META, target_speeds=[-5, 0, 5]), "replica/*"),
+    ("sumo/highway", acts(META, longitudinal=False, lateral=False), "lateral or both"),
+    ("sumo/highway", acts(META, lateral="SUMO"), "True or False"),
+    ("sumo/highway", acts(PEDALS, steering_range=[-0.1, 0.1]), "replica/*"),
+    ("sumo/highway", acts(PEDALS, dynamical=True), "replica/*"),
+    ("sumo/highway", acts(STEPS, longitudinal=False, steering_range=[-0.1, 0.1]), "replica/*"),
+    ("replica/highway", acts(META, lateral="sumo"), "SUMO drives nothing on the replica"),
+    ("replica/highway", acts(PEDALS, steering_range=[0.1]), "two rising numbers"),
+    ("replica/highway", acts(PEDALS, speed_range="fast"), "two rising numbers"),
+    ("replica/highway", acts(STEPS, actions_per_axis=2.5), "a whole"),
+    ("replica/highway", acts(STEPS, steering_rang=[0, 1]), "mean 'steering_range'"),
+    ("replica/highway", {**acts(PEDALS), **sees({"type": "TimeToCollision"})}, "target speeds"),
+    # several learning cars
+    ("sumo/intersection", {"controlled_vehicles": 2}, "MultiAgentAction"),
+    ("sumo/intersection", {"controlled_vehicles": 0}, "from 1 on"),
+    ("sumo/intersection", both(META, TABLE, controlled_vehicles=9), "at most 4"),
+    ("replica/roundabout", acts({"type": "MultiAgentAction"}), "'action_config'"),
+    ("replica/roundabout", {"controlled_vehicles": 2}, "'action_config'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("id", "config", "word"), CONFIGS, ids=str)
+def test_a_configuration_is_refused(id: str, config: Any, word: str) -> None:
+    """In one line."""
+    with pytest.raises(ConfigError) as caught:
+        gym.make(f"{id}-v0", config=config).reset(seed=0)
+    assert word in str(caught.value) and "\n" not in str(caught.value)
+
+
+OPTIONS: list[tuple[dict[str, Any], str]] = [
+    ({"risk_rate": {"cut_in": 0.1}}, "'risk_rates', 'risk_ranges'"),
+    ({"risk_rates": {"cutin": 0.1}}, "some of cut_in, brake"),
+    ({"risk_rates": 3}, "some of cut_in"),
+    ({"risk_rates": {"cut_in": 0.3}}, "no effect at risk 0"),
+    ({"risk_rates": {"cut_in": 1e12}}, "[0, 1000]"),
+    ({"risk_ranges": {"tau": [0.1, 0.2]}}, "no effect at risk 0"),
+    ({"risk_ranges": {"tau": 5}}, "two rising numbers in (0, 1000]"),
+    ({"risk_ranges": {"tau": [2, 1]}}, "two rising numbers"),
+    ({"risk_ranges": {"not_giving_way": [0, 1]}}, "a number"),
+    ({"calibration": {"tau": math.nan}}, "a number"),
+    ({"calibration": {"lane_changes": 2}}, "True or False"),
+    ({"calibration": {"tau": 2.0}, "scenario": None}, "either 'scenario' or"),
+    ({"scenario": 3}, "a Scenario"),
+]
+
+
+@pytest.fixture(scope="module")
+def highway() -> Any:
+    return DrivingEnv("highway", {"vehicles_count": 10})
+
+
+@pytest.mark.parametrize(("options", "word"), OPTIONS, ids=str)
+def test_an_option_of_reset_is_refused(highway: DrivingEnv, options: dict[str, Any], word: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        highway.reset(seed=0, options=options)
+    assert word in str(caught.value)
+
+
+ACTIONS: list[tuple[str, dict[str, Any], list[Any]]] = [
+    ("sumo/highway-v0", META, [5, -1, 0.5, None, [0, 0]]),
+    ("replica/highway-v0", PEDALS, [1, [0.1], [0.1, math.inf], ["a", "b"]]),
+    ("replica/highway-v0", STEPS, [9, -1, 0.5]),
+]
+BATCHES: list[tuple[str, dict[str, Any], list[Any]]] = [
+    ("sumo/highway-v0", META, [[0], [0, 5], [0, -1], [[0, 0]], [0.5, 0.5], None]),
+    ("sumo/highway-v0", PEDALS, [np.zeros(2)]),
+    ("replica/highway-v0", META, [[1], [1, 5], [1.0, 1.0], [[1, 1]]]),
+    ("replica/highway-v0", PEDALS, [[[0.0, 0.0]], [0.0, 0.0], [[0.0, math.nan], [0.0, 0.0]]]),
+]
+
+
+@pytest.mark.parametrize(("id", "kind", "actions"), ACTIONS, ids=str)
+def test_what_is_no_action_is_refused(id: str, kind: dict[str, Any], actions: list[Any]) -> None:
+    env = gym.make(id, config=acts(kind)).unwrapped
+    env.reset(seed=0)
+    for action in actions:
+        with pytest.raises(ValueError, match="action must be"):
+            env.step(action)
+    env.step(env.action_space.sample())  # unharmed
+    env.close()
+
+
+@pytest.mark.parametrize(("id", "kind", "actions"), BATCHES, ids=str)
+def test_what_is_no_action_of_a_batch_is_refused(id: str, kind: dict[str, Any], actions: list[Any]) -> None:
+    envs = gym.make_vec(id, num_envs=2, config=acts(kind))
+    envs.reset(seed=0)
+    for action in actions:
+        with pytest.raises(ValueError, match=r"2 of (Discrete|Box)|finite numbers"):
+            envs.step(action)
+    envs.step(envs.action_space.sample())
+    envs.close()
+
+
+class Twice(Highway):
+    """All vehicles have one id."""
+
+    def __init__(self, id: str) -> None:
+        self.id = id
+
+    def vehicles(self, *arguments: Any) -> list[Any]:
+        return [VehicleSpec._replace(spec, id=self.id) for spec in super().vehicles(*arguments)]
+
+
+def attributes(**given: float) -> Callable[[], Any]:
+    """A vehicle type with these attributes of SUMO's."""
+    return lambda: drivers("highway", 0.0)[0].like("odd", given)
+
+
+def nowhere() -> None:
+    make_on_lane((task := Highway()).road(task.defaults), "ego", ("0", "1", 9), 1.0, 9.0, ego_driver(task))
+
+
+def closed() -> None:
+    env: Any = make_env("replica", "u-turn", {}).unwrapped
+    env.reset(seed=0)
+    env._simulator.close()
+    env._simulator.step({"ego": EgoCommand(20.0, None)})
+
+
+def of_sumo(*options: Any, task: Any = "highway") -> Callable[[], Any]:
+    return lambda: DrivingEnv(task, sumo_options=list(options)).reset(seed=0)
+
+
+OWN = ("--step-length=0.5", "--lanechange.duration=2", "--time-to-teleport=60", "--lateral-resolution=0.8")
+FOR_FILES = (
+    "--scale=2",
+    "--random-depart-offset=5",
+    "--max-num-vehicles=3",
+    "--default.action-step-length=1",
+    "--random",
+)
+fleet = partial(partial, sumo_env.parallel_env)
+replica, batch = partial(gym.make, "replica/roundabout-v0"), partial(gym.make_vec, "replica/highway-v0", 2)
+CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
+    *((partial(make, f"{room}/highway-v0", risk=1.0), TypeError, "config={'risk': 1.0}")
+      for make in (gym.make, gym.make_vec) for room in ("sumo", "replica")),
+    (lambda: DrivingEnv("highway", render_mode="ansi"), ValueError, "rgb_array"),
+    (lambda: DrivingEnv("highway").step(1), gym.error.ResetNeeded, "reset"),
+    (lambda: DrivingEnv("highway").imagine(0), gym.error.ResetNeeded, "reset"),
+    (lambda: DrivingEnv("highway").export("/nowhere"), gym.error.ResetNeeded, "reset"),
+    (lambda: DrivingEnv("highway", live="netedit"), ConfigError, "'sumo-gui'"),
+    (lambda: DrivingEnv("highway", simulator=Replica(), sumo_options=["-v"]), ValueError, "`simulator`"),
+    (lambda: DrivingEnv("highway", acts({"type": "MultiAgentAction"})), ConfigError, "sumo_env.parallel_env"),
+    (lambda: make_env("replica", "uturn", {}), UserError, "unknown task"),
+    (lambda: sumo_env.HighwayEnv, AttributeError, "sumo_env.envs"),
+    *((partial(gym.make, id), gym.error.UnregisteredEnv, "docs/from-highway-env.md") for id in hints.NOT_HERE),
+    # tasks of a user's own
+    (lambda: DrivingEnv(Twice("v0")).reset(seed=0), ConfigError, "are called 'v0'"),
+    (lambda: DrivingEnv(Twice("ego")).reset(seed=0), ConfigError, "are called 'ego'"),
+    (nowhere, ConfigError, "no lane ('0', '1', 9)"),
+    (lambda: DrivingEnv(Highway), ConfigError, "Highway()"),  # type: ignore[arg-type]
+    (lambda: sumo_env.register("test/class-v0", Highway), TypeError, "Highway()"),
+    (attributes(acell=2.0), ValueError, "'accel'"),
+    (attributes(maxspeed=2.0), ValueError, "'maxSpeed'"),
+    (attributes(zzz=2.0), ValueError, "see https"),
+    (attributes(speedFactor=2.0), ValueError, "no effect"),
+    (attributes(length=200.0), ValueError, "length"),
+    # options of SUMO
+    (of_sumo("--net-file", "x.net.xml"), ConfigError, "SumoDrivingEnv"),
+    *((of_sumo(option), ConfigError, "the environment's own") for option in OWN),
+    (of_sumo(3), ConfigError, "list of strings"),
+    (of_sumo("--scale=2", task=Twice("v0")), ConfigError, "no effect here"),
+    *((of_sumo(option), ConfigError, "no effect here") for option in FOR_FILES),
+    (of_sumo("--seed", "7"), ConfigError, "seed of reset()"),
+    (of_sumo("--tripinfo-outptu", "trips.xml"), SimulatorError, "--tripinfo-outptu"),
+    # the replica
+    (partial(replica, scenarios="stock"), ConfigError, "'stock'"),
+    (partial(replica, variant="paths"), ConfigError, "did you mean 'path'"),
+    (partial(replica, risk_law="lineal"), ConfigError, "did you mean 'linear'"),
+    (partial(replica, live="sumo-gui"), ConfigError, "no SUMO on the replica"),
+    (lambda: replica().unwrapped.hand_over(), ConfigError, "SUMO drives nothing"),  # type: ignore[attr-defined]
+    (lambda: ReplicaEnv("u-turn", version=3), ConfigError, "no version 3"),
+    (lambda: Replica().step({"ego": EgoCommand(20.0, None)}), RuntimeError, "reset"),
+    (closed, RuntimeError, "reset"),
+    (partial(batch, config={"vehicle_count": 3}), ConfigError, "did you mean 'vehicles_count'"),
+    (partial(batch, vehicles_count=3), TypeError, "'vehicles_count'"),
+    (partial(batch, threads=0), ValueError, "at least 1"),
+    # several learning cars
+    (fleet("CartPole-v1"), ConfigError, "not an environment of sumo_env"),
+    (fleet("replica/highway-v0", remove_crashed=True), ConfigError, "crashed cars stay"),
+    (fleet("replica/highway-v0", live="sumo-gui"), ConfigError, "no SUMO on the replica"),
+    (fleet("sumo/highway-v0", live="gui"), ConfigError, "'sumo-gui'"),
+    (fleet("sumo/highway-v0", output_dir="out"), ConfigError, "output_dir"),
+    (fleet("sumo/highway-v0", {"manual_control": True}), ConfigError, "'manual_control'"),
+    (fleet("sumo/two-way-v0", {"controlled_vehicles": 3}), ConfigError, "at most 2"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "word"), CALLS, ids=[f"{k}-{row[2]}" for k, row in enumerate(CALLS)]
+)
+def test_a_call_is_refused(call: Callable[[], Any], error: type[Exception], word: str) -> None:
+    with pytest.raises(error) as caught:
+        made = call()
+        made.reset(seed=0)
+    assert word in str(caught.value)

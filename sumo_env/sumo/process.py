@@ -25,10 +25,9 @@ from contextlib import suppress
 from functools import cache
 from typing import Any, ClassVar, NoReturn, TypeVar
 
-import numpy as np
 from gymnasium import logger
 
-from sumo_env.scene import Scene
+from sumo_env.scene import Scene, same
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo import link
 from sumo_env.sumo.options import LIVE, check_copyable
@@ -191,7 +190,7 @@ class SumoProcess:
         try:
             for command, arguments in self._calls:
                 getattr(there, command)(*arguments)
-            if not _equal(there._scene, self._scene):
+            if not same(there._scene, self._scene):
                 raise SimulatorError(
                     "this simulation cannot be copied: driven again from its scenario, the episode is another one. "
                     "Was it changed through libsumo?"
@@ -250,14 +249,6 @@ def _warn_of_libsumo() -> None:
         logger.warn(told)
     except UserWarning:  # by a filter of the user's
         print(told, file=sys.stderr)
-
-
-def _equal(one: Scene | None, other: Scene | None) -> bool:
-    """Whether two scenes are the same to the last bit."""
-    if one is None or other is None:
-        return one is other
-    arrays = ("ids", "x", "y", "speed", "heading", "crashed")
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
 
 
 class _Here:

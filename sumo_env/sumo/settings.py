@@ -28,6 +28,8 @@ NO_FILES = ("stdout", "stderr", "/dev/null", "NUL", "nul")  # that SUMO can writ
 UNCHECKED = {"xml-validation": "never", "xml-validation.net": "never", "xml-validation.routes": "never"}
 USUAL = {"lanechange.duration": "0", **UNCHECKED, **SILENT}
 
+NOISY = {"carFollowModel", "sigma", "lcSigma"}  # attributes with which SUMO's drivers may draw random numbers
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -113,3 +115,15 @@ def file_settings(scenario: Scenario, further: Sequence[str] = (), outputs: Path
     seed = scenario.seed if scenario.traffic.seed is None else scenario.traffic.seed
     options |= {**given, **COLLISIONS, "seed": str(seed)}
     return Settings(float(options["step-length"]), options, scenario.traffic.elements)
+
+
+def leaves_traces(scenario: Scenario) -> bool:
+    """Whether the next episode would owe something to this one, were it only removed from the road.
+
+    Other car-following models draw from SUMO's random numbers.
+    """
+    drivers = (
+        *(spec.driver for spec in scenario.specs),
+        *(spawn.vehicle.driver for spawn in scenario.spawns),
+    )
+    return any(name in NOISY or name.endswith("Prob") for driver in drivers for name, _ in driver.attributes)

@@ -27,7 +27,7 @@ from sumo_env.sumo.events import Events
 from sumo_env.sumo.options import LIVE
 from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.session import Session
-from sumo_env.sumo.settings import Settings, placed_settings
+from sumo_env.sumo.settings import Settings, leaves_traces, placed_settings
 from sumo_env.sumo.vehicle import OF_SUMO, Vehicle, modes
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
@@ -35,7 +35,6 @@ from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, 
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 MOST_KEPT = 1024  # vehicle types that stay loaded between episodes
 GONE = ("arrived", "removed")  # how a car's way may have ended off the road
-NOISY = {"carFollowModel", "sigma", "lcSigma"}  # attributes with which SUMO's drivers may draw random numbers
 
 
 class SumoSimulator:
@@ -138,7 +137,7 @@ class SumoSimulator:
     def _begin(self, scenario: Scenario) -> Scene:
         self._prepare(scenario)
         settings = self._settings(scenario)
-        if _leaves_traces(scenario):
+        if leaves_traces(scenario):
             self._session.load(replace(settings, options={**settings.options, "seed": str(scenario.seed)}))
         elif not self._session.clear(settings):
             self._session.load(settings)
@@ -393,18 +392,6 @@ class SumoSimulator:
     def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:
         """What a learning car has ahead of it."""
         return NO_LIGHT, None
-
-
-def _leaves_traces(scenario: Scenario) -> bool:
-    """Whether the next episode would owe something to this one, were it only removed from the road.
-
-    Other car-following models draw from SUMO's random numbers.
-    """
-    drivers = (
-        *(spec.driver for spec in scenario.specs),
-        *(spawn.vehicle.driver for spawn in scenario.spawns),
-    )
-    return any(name in NOISY or name.endswith("Prob") for driver in drivers for name, _ in driver.attributes)
 
 
 def _words(error: Exception) -> str:

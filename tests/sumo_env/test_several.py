@@ -160,6 +160,7 @@ CASES = {
     "highway": ("highway-v0", tuples(META, SEEN, controlled_vehicles=3, vehicles_count=20)),
     "highway-fast": ("highway-fast-v0", tuples(META, SEEN, controlled_vehicles=2)),
     "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=8)),
+    "grid": ("highway-v0", tuples({"type": "DiscreteAction"}, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "four arms": (
         "intersection-v0",
         tuples(

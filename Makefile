@@ -1,4 +1,4 @@
-# make setup | sweep [ARGS=..] | results | pages | check | lint | test | test-fast | test-long | test-arm | docs | lock | dist | addresses
+# make setup | sweep [ARGS=..] | results | pages | check | lint | weight | test | test-fast | test-long | test-arm | docs | lock | dist | addresses
 #
 #   make sweep ARGS="--preset smoke --out results/try"
 
@@ -11,7 +11,7 @@ TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup sweep results check lint test test-fast test-long test-arm pages docs lock dist addresses clean
+.PHONY: setup sweep results check lint weight test test-fast test-long test-arm pages docs lock dist addresses clean
 
 setup: $(STAMP)
 
@@ -43,14 +43,19 @@ results: setup
 # What a change has to pass.
 check: lint test docs
 
-lint: setup
+lint: setup weight
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# No file above 500 kB outside of results and pictures: git keeps every version for ever.
+weight:
+	@git ls-files -z -- . ':!results' ':!docs/img' | xargs -0 du --apparent-size -k 2>/dev/null \
+	  | awk '$$1 > 500 { print "too large for git: " $$2 " (" $$1 " kB)"; bad = 1 } END { exit bad }'
+
 # Everything but what is marked "long", on two processes: under ten minutes.
 test: setup
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long" $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long" --durations=25 $(ARGS)
 
 # Under a minute: what to run while writing code.
 test-fast: setup

@@ -4,27 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv
-from sumo_env.sumo.process import SumoProcess
-from sumo_env.tasks import TASKS
 from tests.processes import ended
-from tests.sumo_env.rollout import assert_same_bits, drive
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_the_same_episodes_in_this_process_and_in_a_worker(task: str) -> None:
-    """To the last bit: observations, rewards, endings and infos."""
-    here = DrivingEnv(task, {"risk": 1.0})
-    there = DrivingEnv(task, {"risk": 1.0}, simulator=SumoProcess())
-    for seed in range(3):
-        np.testing.assert_array_equal(here.reset(seed=seed)[0], there.reset(seed=seed)[0])
-        actions = [(seed + step) % len(here.actions) for step in range(100)]
-        for mine, theirs in zip(drive(here, actions), drive(there, actions), strict=True):
-            assert_same_bits(mine, theirs)
-
 
 SCRIPT = """
 import gymnasium as gym, numpy as np

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import copy
-import os
-import signal
 import socket
-import subprocess
 from contextlib import closing
 from typing import Any
 
@@ -15,24 +12,10 @@ import pytest
 
 from sumo_env.sumo import link
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
-from tests.processes import children, ends
 from tests.sumo_env.rollout import assert_same_bits, drive
 from tests.sumo_env.sumo.fake import COMMAND, FAKE, scenario
 
 ACTIONS = [1, 0, 2, 3, 1, 4]
-
-
-@pytest.fixture
-def no_inheritance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on Windows: a process cannot hand a socket to one that it starts, and none is forked."""
-    popen = subprocess.Popen
-
-    def without_pass_fds(*arguments: Any, pass_fds: None = None, **keywords: Any) -> Any:
-        return popen(*arguments, **keywords)
-
-    monkeypatch.setattr(link, "INHERITS", False)
-    monkeypatch.setattr(link, "FORKS", False)
-    monkeypatch.setattr(subprocess, "Popen", without_pass_fds)
 
 
 @pytest.fixture
@@ -63,20 +46,11 @@ def test_workers_and_copies_drive_the_same_episode(lacking: str, request: pytest
             env.close()
 
 
-def test_a_worker_that_is_killed_is_named(no_inheritance: None) -> None:
-    simulator = SumoProcess(FAKE)
-    with closing(simulator):
-        simulator.reset(scenario(3))
-        assert simulator.pid is not None
-        os.kill(simulator.pid, signal.SIGKILL)
-        with pytest.raises(SimulatorDied, match="was killed by SIGKILL"):
-            simulator.step({"ego": COMMAND})
-
-
 def test_a_worker_that_dies_before_it_connects_is_named(
     no_inheritance: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(link, "interpreter", lambda: "/bin/false")
+    monkeypatch.setattr(link, "PATIENCE", 0.05)
     simulator = SumoProcess(FAKE)
     with pytest.raises(SimulatorDied, match="ended with exit code 1"):
         simulator.reset(scenario(3))
@@ -108,22 +82,3 @@ def test_who_does_not_know_the_key_is_not_answered(
             stranger.settimeout(5.0)
             assert stranger.recv(1) == b""
             stranger.close()
-
-
-def test_a_worker_ends_with_its_environment(no_inheritance: None) -> None:
-    simulator = SumoProcess(FAKE)
-    simulator.reset(scenario(3))
-    pid = simulator.pid
-    assert pid is not None and pid in children(os.getpid())
-    del simulator
-    assert ends(pid)
-
-
-def test_a_signal_without_a_name_is_told_by_its_number() -> None:
-    simulator = SumoProcess(FAKE)
-    with closing(simulator):
-        simulator.reset(scenario(3))
-        assert simulator.pid is not None
-        os.kill(simulator.pid, signal.SIGRTMIN + 1)
-        with pytest.raises(SimulatorDied, match=f"was killed by signal {signal.SIGRTMIN + 1}"):
-            simulator.step({"ego": COMMAND})

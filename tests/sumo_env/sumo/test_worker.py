@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import gc
 import os
+import pickle
 import signal
+import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -48,27 +52,71 @@ def simulator() -> Iterator[SumoProcess]:
     simulator.close()
 
 
-# -- the protocol ------------------------------------------------------------------------------------------
+# -- from its start to its end, by each way to a worker ----------------------------------------------------
 
 
-def test_large_messages_travel(simulator: SumoProcess) -> None:
-    assert len(simulator.reset(scenario(others=50_000))) == 50_001
+@pytest.fixture(params=["handed over", "connected", "forked"])
+def begun(request: pytest.FixtureRequest) -> Iterator[SumoProcess]:
+    """A worker of each kind, one step into episode 7 of the fake simulator."""
+    if request.param == "connected":
+        request.getfixturevalue("no_inheritance")
+    simulator = SumoProcess(FAKE)
+    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+        simulator.step({"ego": COMMAND})
+    assert len(simulator.reset(scenario(7, others=50_000))) == 50_001  # a large message
     step = simulator.step({"ego": COMMAND}, trace=True)
     assert len(step.trace) == 3 and len(step.trace[2]) == 50_001
+    one = simulator.clone() if request.param == "forked" else simulator
+    yield one
+    simulator.close()
+    one.close()
 
 
-def test_a_step_needs_a_reset(simulator: SumoProcess) -> None:
-    with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
-        simulator.step({"ego": COMMAND})
+SIGNALS = {signal.SIGKILL: "SIGKILL", signal.SIGRTMIN + 1: f"signal {signal.SIGRTMIN + 1}"}
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_killed_worker_is_told_and_replaced(begun: SumoProcess, number: int) -> None:
+    old = begun.pid
+    os.kill(old, number)
+    # who has forked it cannot ask the system how it ended
+    with pytest.raises(SimulatorDied, match=rf"({SIGNALS[number]}|is gone) .*step 2: .*highway .*seed 7"):
+        begun.step({"ego": COMMAND})
+    with pytest.raises(SimulatorDied, match="has ended; call reset"):
+        begun.step({"ego": COMMAND})
+    begun.reset(scenario(8))
+    assert begun.pid != old and begun.step({"ego": COMMAND}).scene.time == 1.0
+
+
+def test_closing_ends_the_worker_and_may_be_repeated(begun: SumoProcess) -> None:
+    pid = begun.pid
+    begun.close()
+    begun.close()
+    assert ends(pid)
+    assert begun.reset(scenario()).time == 0.0  # as a simulator in this process could be
+
+
+@pytest.mark.parametrize("connects", [False, True])
+def test_a_forgotten_simulator_ends_its_worker(connects: bool, request: pytest.FixtureRequest) -> None:
+    if connects:
+        request.getfixturevalue("no_inheritance")
+    simulator = SumoProcess(FAKE)
+    simulator.reset(scenario())
+    pid = simulator.pid
+    with pytest.raises(TypeError, match=r"copy\.deepcopy"):
+        pickle.dumps(simulator)
+    del simulator
+    gc.collect()
+    assert ends(pid)
+
+
+# -- what a simulator says ---------------------------------------------------------------------------------
 
 
 def test_what_the_simulator_prints_does_not_disturb(simulator, capfd) -> None:
     simulator.reset(scenario(PRINTS))
     assert simulator.step({"ego": COMMAND}).ego.distance == COMMAND.target_speed
     assert capfd.readouterr() == ("SUMO says something\nand so does C++\n", "")
-
-
-# -- errors ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -88,37 +136,19 @@ def test_an_error_is_told_with_its_place_and_the_worker_goes_on(simulator, seed,
     assert simulator.pid == pid
 
 
-def test_a_simulator_that_cannot_be_made_is_an_error_of_the_reset() -> None:
-    simulator = SumoProcess("tests.sumo_env.sumo.fake:NoSuchSimulator")
-    with pytest.raises(AttributeError, match="NoSuchSimulator"):
-        simulator.reset(scenario())
+@pytest.mark.parametrize(
+    ("program", "seed", "error", "message"),
+    [
+        ("tests.sumo_env.sumo.fake:NoSuchSimulator", 0, AttributeError, "NoSuchSimulator"),
+        (FAKE, CRASHES_AT_RESET, SimulatorDied, f"SIGSEGV: the reset of .* seed {CRASHES_AT_RESET}"),
+    ],
+)
+def test_what_goes_wrong_at_a_reset_is_its_error(program, seed, error, message) -> None:
+    with closing(SumoProcess(program)) as simulator, pytest.raises(error, match=message):
+        simulator.reset(scenario(seed))
 
 
-# -- deaths ------------------------------------------------------------------------------------------------
-
-
-def test_a_killed_worker_is_told_and_replaced(simulator: SumoProcess) -> None:
-    simulator.reset(scenario(7))
-    simulator.step({"ego": COMMAND})
-    old = simulator.pid
-    os.kill(old, signal.SIGKILL)
-    with pytest.raises(
-        SimulatorDied,
-        match=r"killed by SIGKILL in step 2: an episode of highway \(scenario seed 7, risk 0.5\)",
-    ):
-        simulator.step({"ego": COMMAND})
-    with pytest.raises(SimulatorDied, match=r"seed 7, risk 0.5\) has ended; call reset"):
-        simulator.step({"ego": COMMAND})
-    simulator.reset(scenario(8))
-    assert simulator.pid != old
-    assert simulator.step({"ego": COMMAND}).scene.time == 1.0
-
-
-def test_a_scenario_that_kills_every_worker_is_an_error(simulator: SumoProcess) -> None:
-    with pytest.raises(
-        SimulatorDied, match=f"SIGSEGV: the reset of highway .scenario seed {CRASHES_AT_RESET}"
-    ):
-        simulator.reset(scenario(CRASHES_AT_RESET))
+# -- silence and interrupts --------------------------------------------------------------------------------
 
 
 def test_a_silent_worker_is_killed(simulator: SumoProcess) -> None:
@@ -130,39 +160,32 @@ def test_a_silent_worker_is_killed(simulator: SumoProcess) -> None:
     assert not is_alive(pid)
 
 
-def test_an_interrupted_step_ends_the_episode(simulator: SumoProcess) -> None:
-    """The answer to it must not be taken for that to the next request."""
-    simulator.reset(scenario(HANGS))
-    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    with pytest.raises(KeyboardInterrupt):
-        simulator.step({"ego": COMMAND})
-    timer.join()
+REQUESTS: dict[str, tuple[Any, Callable[[SumoProcess], Any]]] = {
+    "load": (pickle, lambda simulator: simulator.step({"ego": COMMAND})),
+    "recv_fds": (socket, lambda simulator: simulator.clone()),
+}
+
+
+@pytest.mark.parametrize("reading", REQUESTS)
+def test_an_interrupted_request_ends_the_episode(simulator, monkeypatch, reading: str) -> None:
+    """Its answer, which is still to come, must not be taken for that to the next request."""
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    module, call = REQUESTS[reading]
+    simulator.reset(scenario(3))
+    pid = simulator.pid
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(module, reading, interrupted)
+        call(simulator)
+    assert ends(pid)
     with pytest.raises(SimulatorDied, match="has ended; call reset"):
         simulator.step({"ego": COMMAND})
     assert simulator.reset(scenario()).time == 0.0
 
 
 # -- the end of workers ------------------------------------------------------------------------------------
-
-
-def test_closing_ends_the_worker_and_may_be_repeated(simulator: SumoProcess) -> None:
-    simulator.close()
-    simulator.reset(scenario())
-    pid = simulator.pid
-    simulator.close()
-    simulator.close()
-    assert not is_alive(pid)
-    simulator.reset(scenario())  # as a simulator in this process could be
-
-
-def test_a_forgotten_simulator_ends_its_worker() -> None:
-    simulator = SumoProcess(FAKE)
-    simulator.reset(scenario())
-    pid = simulator.pid
-    del simulator
-    gc.collect()
-    assert not is_alive(pid)
 
 
 def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:

@@ -54,12 +54,6 @@ def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dic
     return found
 
 
-def corruptions() -> dict[str, int]:
-    """What the damaged files of tests/faults/corruptions.py came to: how many there are, and of each outcome."""
-    found: dict[str, int] = json.loads((ROOT / "tests" / "faults" / "corruptions.json").read_text())
-    return found
-
-
 def road_units(task: str, unit: str, digits: int) -> str:
     """Three cells of a table: a unit of the road at dose 0, at dose 1 and among measured drivers."""
     table = pd.read_parquet(ROOT / "results" / "road-units.parquet")
@@ -69,7 +63,7 @@ def road_units(task: str, unit: str, digits: int) -> str:
 
 # -- pages -------------------------------------------------------------------------------------------------------------
 
-FUNCTIONS: list[Callable[..., Any]] = [corruptions, missed, road_units, validation]
+FUNCTIONS: list[Callable[..., Any]] = [missed, road_units, validation]
 
 
 def page_of(template: Path) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from experiments.analysis import plan as plans
 from experiments.analysis.by_task import OWN, by_task
 from experiments.analysis.cells import comparable, incomplete, is_main, leave_out, unfinished
 from experiments.analysis.claims import claims, price
-from experiments.analysis.effects import KEY, WORKING_COLUMNS, adjusted, contrasts, decided, means, slopes
+from experiments.analysis.effects import KEY, WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
@@ -97,13 +97,11 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     passed = gates(known.cells, known.gate_episodes)
 
     planned = {BOTH: [*product(outcomes, TERMS)], **{(arm, "control"): CRASHES for arm in plan.arms[2:]}}
-    looks = [arms_of(agents[agents["seed"] < look.seeds], outcomes) for look in plan.schedule]
-    at_looks = pd.concat(
-        [contrasts(arms, planned, look=look) for look, arms in enumerate(looks)], ignore_index=True
-    )
-    effects = adjusted(decided(at_looks, plan), plan)
+    arms = arms_of(agents, outcomes)
+    asked = contrasts(arms, planned)
+    effects = adjusted(asked, plan)
     both = effects[effects["arm"] == "treatment"]
-    trends = slopes(looks, plan)
+    trends = slopes(arms, plan)
     everybody = arms_of(pd.concat([agents, careful(episodes)]))
     beside = [
         contrasts(everybody, dict.fromkeys(FURTHER_COMPARISONS, SHOWN)),
@@ -111,11 +109,10 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         *transfers(episodes),
     ]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
-    at_the_end = replace(plan, looks=())
     mean = [
-        means(at_looks[at_looks["arm"] == "treatment"], plan, outcomes=outcomes),
-        means(crashes.assign(look=0), at_the_end, leave_one_out=True),
-        *(means(frame, at_the_end) for frame in beside),
+        means(asked[asked["arm"] == "treatment"], plan, outcomes=outcomes),
+        means(crashes, plan, leave_one_out=True),
+        *(means(frame, plan) for frame in beside),
     ]
     effects = pd.concat([effects, *beside], ignore_index=True)
     effects = effects.drop_duplicates(KEY, ignore_index=True)  # what the plan tests stands first
@@ -275,7 +272,7 @@ def _strict(value: Any) -> Any:
 
 
 def stored(path: Path) -> Analysis:
-    """The analysis in an analysis.json, whose effects have no looks.
+    """The analysis in an analysis.json.
 
     Frames that an earlier version did not have are empty, and those that this one does not have are left out.
     """

@@ -70,7 +70,7 @@ def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     rows = [*_effects(pd.concat([agents, tests]), ASKED), *_effects(units, ASKED_OF_PAIRS)]
     if not rows:
         return pd.DataFrame(columns=ROW)
-    effects = pd.DataFrame(rows).assign(scenarios="own", look=0)
+    effects = pd.DataFrame(rows).assign(scenarios="own")
     poolable = effects[effects["outcome"].isin([name for name, one in COLUMNS.items() if one.poolable])]
     found = [
         means(effects, plan, outcomes=COLUMNS),

@@ -4,16 +4,15 @@ The paper's ATE is a sum: (T - C) in risky traffic plus (T - C) in regular traff
 agent first (risky + regular) and then compared between the arms, like its two terms and their interaction. Agents that
 fail a gate count as the others do: an agent that did not learn is an outcome of its training.
 
-Frames: `contrasts` has a row an effect, `means` a row a mean over settings, `slopes` a row a task; where the plan has
-looks, at each of them, of which `decided` leaves one. All share the columns of an estimate: estimate, se, df, low, high
-(95 % interval, in the unit of the outcome), p (two-sided) and status ("ok", or why there is no interval, see
-`estimate`). The columns of WORKING_COLUMNS are what further means are made of.
+Frames: `contrasts` has a row an effect, `means` a row a mean over settings, `slopes` a row a task. All share the
+columns of an estimate: estimate, se, df, low, high (95 % interval, in the unit of the outcome), p (two-sided) and
+status ("ok", or why there is no interval, see `estimate`). Further means are made of the columns of WORKING_COLUMNS.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -34,21 +33,20 @@ COMPARISON = ["backend", "tested_on", "scenarios", "arm", "against"]
 QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
 MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
-WORKING_COLUMNS = ["variance", "dof", "smallest", "look"]
+WORKING_COLUMNS = ["variance", "dof", "smallest"]
 
 
 def contrasts(
     arms: Mapping[Setting, Arms],
     asked: Mapping[tuple[str, str], Iterable[tuple[str, str]]],
     signs: tuple[float, float] = (1.0, -1.0),
-    look: int = 0,
     **labels: str,
 ) -> pd.DataFrame:
     """Effects: one arm minus another, or minus a policy that has no training, in every setting that has both.
 
     Args:
         arms: from `scores.arms_of`. asked: (outcome, term) by (arm, against).
-        signs: of the two arms in the sum. look: number of the planned look that the arms are of.
+        signs: of the two arms in the sum.
         labels: tested_on and scenarios, where they are not those of the training.
 
     Returns:
@@ -56,7 +54,7 @@ def contrasts(
     """
     rows = [
         {**dict(zip(SETTING, setting, strict=True)), "tested_on": setting[0], "scenarios": "own", **labels}
-        | {"arm": arm, "against": against, "outcome": outcome, "term": term, "look": look}
+        | {"arm": arm, "against": against, "outcome": outcome, "term": term}
         | _contrast(by_name[arm], by_name[against], against in EVERY_ARM, outcome, term, signs)
         for setting, by_name in arms.items()
         for (arm, against), questions in asked.items()
@@ -86,23 +84,6 @@ def _contrast(
     return {**found._asdict(), **dict(zip(MEANS, means, strict=True)), "saturated": saturated}
 
 
-def decided(frame: pd.DataFrame, plan: Plan) -> pd.DataFrame:
-    """Of each effect, mean or slope at all planned looks the last that was held, with a p-value right for all of them.
-
-    The looks share the error rate (Bonferroni), so the error rate holds whether or not the study continues after the
-    first look. A look counts once every arm has its number of seeds.
-    """
-    if not plan.looks:
-        return frame
-    key = [name for name in frame.columns[: frame.columns.get_loc("estimate")] if name != "look"]
-    frame = frame.iloc[frame.groupby(key, sort=False).ngroup().argsort(kind="stable")]
-    planned = pd.DataFrame(plan.looks).loc[frame["look"]].set_index(frame.index)
-    held = (frame["look"] == 0) | (frame["smallest"] >= planned["seeds"])
-    groups = frame.assign(spent=frame["p"] / planned["share"])[held].groupby(key, sort=False)
-    last, p = groups.tail(1), groups["spent"].min().clip(upper=1.0).to_numpy()
-    return last.assign(p=np.where(last["status"] == OK, p, np.nan))[frame.columns].reset_index(drop=True)
-
-
 def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     """The effects of the plan's comparison with what the number of questions makes of them.
 
@@ -115,14 +96,15 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     names = np.array([plan.family(*question) for question in questions], dtype=object)
     names[~plan.covers(effects)] = ""  # a setting that the plan does not name is exploratory
     effects = effects.assign(family=names, **nothing)
-    shares = np.array([look.share for look in plan.schedule])
     for (_, family), rows in effects.groupby(["backend", "family"]):
         effects.loc[rows.index, "p_adjusted"] = estimate.adjusted(rows["p"], "holm" if family else "bh")
         tested = rows[rows["status"] == OK]
         if family and len(tested):
-            level = ALPHA / len(tested) * shares[tested["look"]]
+            level = ALPHA / len(tested)
             half = estimate.stats.t.isf(level / 2, tested["df"]) * tested["se"]
-            found = list(map(estimate.detectable, tested["se"], tested["df"], level))
+            found = [
+                estimate.detectable(se, df, level) for se, df in zip(tested["se"], tested["df"], strict=True)
+            ]
             bounds = {"low_family": tested["estimate"] - half, "high_family": tested["estimate"] + half}
             effects.update(tested.assign(**bounds, detectable=found)[[*bounds, "detectable"]])
     return effects
@@ -140,7 +122,7 @@ def means(
     tasks but one (`leave_one_out`), in turn. A task that the plan does not name has a mean of its own.
 
     Args:
-        effects: at all looks of the plan.
+        effects: from `contrasts`.
 
     Returns:
         A row a mean: COMPARISON, scope (a task, "all tasks", "without TASK"), QUESTION, ESTIMATE, MEANS (of the numbers
@@ -160,25 +142,22 @@ def means(
     nothing = effects.iloc[:0].assign(scope="")
     scoped = [nothing, *(effects[chosen].assign(scope=scope) for scope, chosen in scopes.items())]
     rows = pd.concat(scoped, ignore_index=True)
-    by = [*COMPARISON, "scope", *QUESTION, "look"]
+    by = [*COMPARISON, "scope", *QUESTION]
     frame = estimate.combine(rows, by, estimate.equal_task_weights(rows, by))
-    # A mean has held a look if one of its settings has, and all have held the first.
-    most = rows.groupby(by, sort=False)["smallest"].max().to_numpy()
-    frame["smallest"] = frame["smallest"].where(frame["smallest"] < plan.schedule[0].seeds, most)
-    frame = decided(frame, plan)[[*by[:-1], *ESTIMATE, *MEANS, "settings"]]
+    frame = frame[[*by, *ESTIMATE, *MEANS, "settings"]]
     better = frame["outcome"].map({name: one.better for name, one in outcomes.items()}).astype(float)
     is_open, good = ~(frame["p"] < ALPHA).astype(bool), (frame["estimate"] * better > 0).astype(bool)
     return frame.assign(side=np.select([better == 0, is_open, good], ["", "open", "better"], "worse"))
 
 
-def slopes(looks: Sequence[Mapping[Setting, Arms]], plan: Plan = DEFAULT) -> pd.DataFrame:
+def slopes(arms: Mapping[Setting, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
     """Change per traffic level within each task, of the effect ("effect", the sum) and of the outcome ("mean").
 
     "mean" averages over the two test traffics and the two arms. Each level has test scenarios of its own, and their
     variance is in the interval.
 
     Args:
-        looks: from `scores.arms_of`, at each look of the plan.
+        arms: from `scores.arms_of`.
 
     Returns:
         A row a backend, task, outcome ("return", "crashed") and quantity: ESTIMATE, complete (whether all levels of the
@@ -187,16 +166,12 @@ def slopes(looks: Sequence[Mapping[Setting, Arms]], plan: Plan = DEFAULT) -> pd.
     # The sum counts two traffics; the mean is of one, and of two arms.
     signs = {"effect": (1.0, -1.0), "mean": (0.25, 0.25)}
     asked = {("treatment", "control"): [(outcome, "sum") for outcome in ("return", "crashed")]}
-    sums = [
-        contrasts(arms, asked, sign, look).assign(quantity=quantity)
-        for look, arms in enumerate(looks)
-        for quantity, sign in signs.items()
-    ]
+    sums = [contrasts(arms, asked, sign).assign(quantity=quantity) for quantity, sign in signs.items()]
     rows = pd.concat(sums, ignore_index=True)
-    by = ["backend", "task", "outcome", "quantity", "look"]
+    by = ["backend", "task", "outcome", "quantity"]
     rows = rows[rows.groupby(by)["level"].transform("nunique") > 1]
-    frame = decided(estimate.combine(rows, by, estimate.slope_weights(rows, by)), plan)
+    frame = estimate.combine(rows, by, estimate.slope_weights(rows, by))
     frame["complete"] = frame["settings"] == frame["task"].map(Counter(task for task, _ in plan.settings))
     family = frame.groupby(["backend", "outcome", "quantity"])
     frame["p_adjusted"] = family["p"].transform(estimate.adjusted)
-    return frame[[*by[:-1], "complete", *ESTIMATE, "p_adjusted"]]
+    return frame[[*by, "complete", *ESTIMATE, "p_adjusted"]]

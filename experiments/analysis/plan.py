@@ -1,17 +1,14 @@
 """The analysis plan as data: what is compared and what decides, fixed before the results are there.
 
 Every module of the analysis reads its choices here, and the SHA-256 of `as_data` goes into analysis.json: two reports
-with the same one were made by the same plan. Whatever is not named confirmatory is exploratory. Of the plans by which
-results were published, `plans.json` has the data as they were hashed then; tests compare these with the plans here.
+with the same one were made by the same plan. Whatever is not named confirmatory is exploratory.
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,7 +17,6 @@ from numpy.typing import NDArray
 
 from experiments.study.design.sheet import GRID, SHEETS
 
-PUBLISHED = Path(__file__).with_name("plans.json")
 ALPHA = 0.05
 POWER = 0.8
 
@@ -61,17 +57,6 @@ TERMS: dict[str, dict[str, float]] = {
     "sum": {"risky": 1.0, "regular": 1.0},  # the paper's ATE
     "interaction": {"risky": 1.0, "regular": -1.0},
 }
-
-
-@dataclass(frozen=True)
-class Look:
-    """A planned look at the results: after so many seeds in each arm, with this share of the error rate."""
-
-    seeds: int
-    share: float
-
-
-ONLY_LOOK = Look(sys.maxsize, 1.0)
 
 
 @dataclass(frozen=True)
@@ -121,17 +106,14 @@ class Plan:
     """All choices of an analysis.
 
     Version 2: one primary outcome on all tasks; harms in regular traffic are counted as benefits in risky traffic are;
-    nothing is concluded from a setting where every agent always crashes. 3, of the second study
-    (docs/developers/plan_v3.md): families for mixed training too, its gain without price, checks of the learner; only
-    settings of which every agent is there.
+    nothing is concluded from a setting where every agent always crashes. From 3 on: only settings of which every agent
+    is there count.
 
     settings: the grid that the plan is about, (task, name of the level); effects of others are exploratory.
     primary_outcome, primary_term: of the one primary question, over all agents, with every task weighted alike.
-    looks: planned looks; none: the number of seeds was fixed beforehand. price: all that has to hold for a gain without
-    price, in all settings but hopeless ones (level names by task). published: name in plans.json.
-
-    4, of two agents together and a belief (docs/developers/plan_v4.md): bounds alone. trained: arms that have to be
-    there beside those of the families. design: what the cells are made of, as the preset asks for them.
+    price: all that has to hold for a gain without price, in all settings but hopeless ones (level names by task).
+    trained: arms that have to be there beside those of the families. design: what the cells are made of, as the preset
+    asks for them.
     """
 
     version: int = 2
@@ -146,11 +128,9 @@ class Plan:
         Family("paper", "return", "sum"),
         Family("no harm", "crashed", "regular", equivalence=True),
     )
-    looks: tuple[Look, ...] = ()
     price: tuple[Bound, ...] = ()
     hopeless: dict[str, tuple[str, ...]] = field(default_factory=dict)
     learner: Learner | None = None
-    published: str = ""
     trained: tuple[str, ...] = ()
     design: dict[str, Any] = field(default_factory=dict)
 
@@ -178,47 +158,9 @@ class Plan:
         tests = {(f.arm, self.outcome(f), f.term): f.name for f in self.families if not f.equivalence}
         return tests.get((arm, outcome, term), "")
 
-    @property
-    def schedule(self) -> tuple[Look, ...]:
-        """The planned looks; where none was planned, the only one, at all seeds."""
-        return self.looks or (ONLY_LOOK,)
 
-
-# Five seeds everywhere first, then five more where the first look leaves it open and ten can decide it.
-LOOKS = (Look(5, 0.2), Look(10, 0.8))
-DEFAULT = Plan(published="one batch")
-TWO_BATCHES = replace(DEFAULT, looks=LOOKS, published="two batches")
-SECOND = Plan(
-    version=3,
-    families=(
-        Family("benefits", "primary", "risky"),
-        Family("harms", "primary", "regular"),
-        Family("benefits of mixed training", "primary", "risky", arm="mixed"),
-        Family("harms of mixed training", "primary", "regular", arm="mixed"),
-        Family("paper", "return", "sum"),
-    ),
-    price=(Bound("mixed", "treatment", "risky", 0.05), Bound("mixed", "control", "regular", 0.025)),
-    hopeless={"two-way": ("10+4", "15+6")},
-    # The intersection's return has a range of 14; the plan was fixed with the 13 s that an episode lasts.
-    learner=Learner(ranges={**Learner().ranges, "intersection": 13.0}),
-    published="second",
-)
-FOURTH = Plan(
-    version=4,
-    settings=tuple((task, names[0]) for task, names in GRID.items()),
-    families=(),
-    price=(
-        Bound("belief", "two-treatment", "risky", 0.05),
-        Bound("belief", "two-control", "regular", 0.025),
-        Bound("belief", "one-treatment", "risky", 0.05),
-        Bound("belief", "one-control", "regular", 0.025),
-    ),
-    learner=Learner(),
-    trained=("treatment", "mixed"),
-    design={"first_seed": 200, "seeds": 10, "first_scenario": 2000, "episodes": 800, "rule": [3.0, 0.3]},
-    published="pairs",
-)
-PLANS = {"pairs": FOURTH, "second": SECOND, "first-clock": SECOND, "standard": TWO_BATCHES}  # by preset
+DEFAULT = Plan()
+PLANS: dict[str, Plan] = {}  # by the preset of a study that has a plan of its own
 
 
 def plan_of(presets: Iterable[str]) -> Plan:
@@ -230,17 +172,12 @@ def plan_of(presets: Iterable[str]) -> Plan:
 def as_data(plan: Plan, thresholds: dict[str, Any]) -> dict[str, Any]:
     """The plan as the plain values that its digest is taken of: all that decides, and no words.
 
-    Of published plans it is what was hashed then, labels and today's other outcomes included.
-
     Args:
         thresholds: of the gates, `gates.THRESHOLDS`.
     """
-    if plan.published:
-        stored: dict[str, Any] = json.loads(PUBLISHED.read_text())[plan.published]
-        return stored
     decided = {plan.outcome(family) for family in plan.families} | {plan.primary_outcome}
     data = {
-        **{name: value for name, value in asdict(plan).items() if name != "published"},
+        **asdict(plan),
         "alpha": ALPHA,
         "power": POWER,
         "margins": {name: OUTCOMES[name].margin for name in sorted(decided)},

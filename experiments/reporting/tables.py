@@ -270,7 +270,7 @@ def side_by_side(analyses: Mapping[str, Analysis]) -> pd.DataFrame:
     frames = [
         chosen(
             main(one.effects, one.effects["backend"].iloc[0]), outcome="crashed", term=list(TRAFFICS)
-        ).assign(backend=name, look=0)
+        ).assign(backend=name)
         for name, one in analyses.items()
         if len(one.effects)
     ]

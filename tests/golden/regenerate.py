@@ -2,7 +2,6 @@
 
 python tests/golden/regenerate.py                     # everything, half a minute
 python tests/golden/regenerate.py outcomes            # some of: scenes outcomes
-python tests/golden/regenerate.py numbers             # the published numbers, when a correction was announced
 """
 
 from __future__ import annotations
@@ -21,14 +20,13 @@ from experiments.support import limit_threads
 limit_threads()
 
 from sumo_env.tasks import TASKS
-from tests.golden import numbers, outcomes, scenes
+from tests.golden import outcomes, scenes
 
 FOLDER = Path(__file__).resolve().parent
 WIDTH = 110
 
 
 PARTS = {"scenes": scenes.table, "outcomes": outcomes.table}  # of a task: one file each
-NAMED_ALONE = {"numbers": numbers.write}
 
 
 def pretty(value: Any, indent: int = 0) -> str:
@@ -50,13 +48,9 @@ def read(name: str) -> Any:
 
 def main(parts: list[str]) -> None:
     """Write the files of some parts; of all tasks' by default."""
-    if unknown := set(parts) - {*PARTS, *NAMED_ALONE}:
-        known = ", ".join((*PARTS, *NAMED_ALONE))
-        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {known}")
+    if unknown := set(parts) - {*PARTS}:
+        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
     for part in parts or PARTS:
-        if part in NAMED_ALONE:
-            NAMED_ALONE[part]()
-            continue
         for task in TASKS:
             (FOLDER / part / f"{task}.json").write_text(pretty(PARTS[part](task)) + "\n")
             print(f"{part}/{task}.json", flush=True)

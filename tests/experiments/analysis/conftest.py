@@ -1,12 +1,23 @@
-"""A study that is made up."""
+"""A study that is made up, and plans that others of them follow."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
+from experiments.analysis import plan
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.study.results.store import Results, load
 from tests.experiments import synthetic
+from tests.experiments.analysis.plans import PLANS
+
+
+@pytest.fixture(scope="module", autouse=True)
+def plans() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan, "PLANS", PLANS)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -19,12 +19,12 @@ import pandas as pd
 from scipy.stats import norm
 
 from experiments.analysis import estimate
-from experiments.analysis.effects import ALL_TASKS, decided, means, slopes
+from experiments.analysis.effects import ALL_TASKS, contrasts, means, slopes
 from experiments.analysis.estimate import OK
-from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TWO_BATCHES, Plan
+from experiments.analysis.plan import ALPHA, OUTCOMES
 from experiments.analysis.scores import Arm, Arms, Setting
 from experiments.study.design.sheet import GRID
-from tests.experiments.analysis.made_up import at_looks, first
+from tests.experiments.analysis.made_up import PAIR
 
 SCENARIOS = 100
 SETTING = ("sumo", "highway", 1, "50")
@@ -108,14 +108,14 @@ def rates(found: pd.DataFrame, truth: float) -> Rates:
     return Rates((known["p"] < ALPHA).mean(), covered.mean(), 1 - len(known) / len(found), len(found))
 
 
-def effects(arms: Mapping[Setting, Arms], outcome: str, term: str, plan: Plan = DEFAULT) -> pd.DataFrame:
+def effects(arms: Mapping[Setting, Arms], outcome: str, term: str) -> pd.DataFrame:
     """Treatment minus control in each setting."""
-    return decided(at_looks(arms, [(outcome, term)], plan), plan)
+    return contrasts(arms, {PAIR: [(outcome, term)]})
 
 
-def balanced(arms: Mapping[Setting, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+def balanced(arms: Mapping[Setting, Arms]) -> pd.DataFrame:
     """The mean effect on the crash rate in risky traffic over the settings of each study, tasks alike."""
-    found = means(at_looks(arms, [("crashed", "risky")], plan), plan)
+    found = means(effects(arms, "crashed", "risky"))
     return found[found["scope"] == ALL_TASKS]
 
 
@@ -137,25 +137,8 @@ def slope(outcome: str, quantity: str, seeds: int, repeats: int) -> Rates:
         levels = enumerate(GRID["highway"], start=1)
         return {("sumo", "highway", k, name): setting(World(), seeds, random) for k, name in levels}
 
-    found = slopes([studies(draw, repeats)])
+    found = slopes(studies(draw, repeats))
     return rates(found[(found["outcome"] == outcome) & (found["quantity"] == quantity)], 0.0)
-
-
-def two_batches(world: World, seeds: int, repeats: int) -> Rates:
-    """A setting that gets its second batch where the first leaves it open; the p-value is right for both looks."""
-    whole = settings(world, seeds, repeats)
-    early, both = (effects(arms, "crashed", "risky", TWO_BATCHES) for arms in (first(whole, 5), whole))
-    claimed = early["p"] < ALPHA
-    return rates(pd.concat([early[claimed], both[~claimed]]), world.effect)
-
-
-def primary_two_batches(world: World, seeds: int, repeats: int) -> Rates:
-    """The primary question, where the settings that the first batch leaves open get the second."""
-    whole = studies(lambda random: study(world, seeds, random), repeats // 4)
-    early = first(whole, 5)
-    p = effects(early, "crashed", "risky", TWO_BATCHES).groupby("backend")["p"].transform(estimate.adjusted)
-    mixed = {place: early[place] if q < ALPHA else whole[place] for place, q in zip(whole, p, strict=True)}
-    return rates(balanced(mixed, TWO_BATCHES), world.truth)
 
 
 def any_setting(seeds: int, repeats: int) -> Rates:
@@ -212,17 +195,13 @@ ROWS: dict[str, Callable[[int, int], Rates]] = {
     "slope of the crash rate": partial(slope, "crashed", "mean"),
     "any of 18 settings by Holm, no effect": any_setting,
     "called equivalent at the margin": equivalent,
-    "two batches, no effect": partial(two_batches, World()),
-    "two batches, planted -.15": partial(two_batches, World(effect=-0.15)),
-    "two batches, primary, no effect": partial(primary_two_batches, World()),
-    "two batches, primary, planted -.03": partial(primary_two_batches, World(effect=-0.03)),
 }
 
 
 def table(repeats: int) -> Iterator[tuple[str, int, Rates]]:
     """Rows of the table: what was measured, seeds, rates."""
     for name, row in ROWS.items():
-        for seeds in (10,) if name.startswith("two batches") else (3, 5, 10):
+        for seeds in (3, 5, 10):
             yield name, seeds, row(seeds, repeats)
 
 

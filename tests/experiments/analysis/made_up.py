@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.analysis.analysis import own_agents
-from experiments.analysis.effects import adjusted, contrasts, decided
+from experiments.analysis.effects import adjusted, contrasts
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import Arm, Arms, Setting, arms_of, with_outcomes
 from experiments.study.design.sheet import GRID
@@ -50,27 +50,8 @@ def agents(
     return result
 
 
-def first(arms: Mapping[Setting, Arms], agents: int) -> dict[Setting, Arms]:
-    """The first agents of each arm."""
-    return {
-        place: {
-            name: {outcome: table[:, :agents] for outcome, table in arm.items()} for name, arm in pair.items()
-        }
-        for place, pair in arms.items()
-    }
-
-
-def at_looks(arms: Mapping[Setting, Arms], asked: Iterable[tuple[str, str]], plan: Plan) -> pd.DataFrame:
-    """Effects of treatment against control at every look of a plan."""
-    looks = [first(arms, look.seeds) for look in plan.schedule]
-    return pd.concat(
-        [contrasts(of_look, {PAIR: list(asked)}, look=k) for k, of_look in enumerate(looks)],
-        ignore_index=True,
-    )
-
-
 def effects(arms: Mapping[Setting, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
-    return adjusted(decided(at_looks(arms, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan), plan)
+    return adjusted(contrasts(arms, {PAIR: [(o, t) for o in OUTCOMES for t in TERMS]}), plan)
 
 
 def arms_in(results: Results) -> dict[Setting, dict[str, Arm]]:

@@ -37,7 +37,7 @@ class TestClaims:
         p = np.array([p for _, p in values])
         rows = made_up(outcome="return", term="sum", status=status, estimate=[e for e, _ in values], p=p)
         rows["p_adjusted"] = (p * len(p)).clip(max=1)
-        return find(claims(rows, slopes([{}])), name="return rises")
+        return find(claims(rows, slopes({})), name="return rises")
 
     def test_holds_if_each_does_by_itself(self) -> None:
         """Everywhere at once is the harder claim: it needs no adjustment for the number of places."""
@@ -63,7 +63,7 @@ class TestClaims:
     )
     def test_little_harm_is_an_equivalence(self, estimate: float, verdict: str) -> None:
         rows = made_up(outcome="crashed", term="regular", estimate=[estimate] * 18, p=0.01, p_adjusted=0.01)
-        assert find(claims(rows, slopes([{}])), name="little harm")["verdict"] == verdict
+        assert find(claims(rows, slopes({})), name="little harm")["verdict"] == verdict
 
     def test_signs_are_those_of_the_claims(self) -> None:
         """An effect that raises return and crash rate, both of which rise with traffic."""
@@ -77,7 +77,7 @@ class TestClaims:
                     for name in ("return", "crashed"):
                         arm[name][...] += level
             arms |= own
-        found = claims(effects(arms), slopes([arms])).set_index("name")["verdict"]
+        found = claims(effects(arms), slopes(arms)).set_index("name")["verdict"]
         assert found["return rises"] == "holds"
         assert found["return falls with traffic"] == "contradicted"
         assert found["fewer crashes"] == "contradicted"

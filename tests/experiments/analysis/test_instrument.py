@@ -36,7 +36,6 @@ def bound(rate: float, repeats: int, sigmas: float = 4) -> float:
         ("planted -.15: crashed risky", 10, 100, 0.8),
         ("slope of the outcome", 3, 200, 0.0),
         ("slope of the outcome", 10, 200, 0.0),
-        ("two batches, no effect", 10, 300, 0.0),
         ("called equivalent at the margin", 3, 300, 0.0),
         ("called equivalent at the margin", 10, 300, 0.0),
         pytest.param("any of 18 settings by Holm, no effect", 5, 600, 0.0, marks=pytest.mark.slow),

@@ -17,17 +17,15 @@ from experiments import report
 from experiments.analysis.analysis import CRASHES, analyse
 from experiments.analysis.claims import CONTRADICTED, HOLDS, price
 from experiments.analysis.effects import contrasts
-from experiments.analysis.gates import THRESHOLDS
 from experiments.analysis.influence import influence
 from experiments.analysis.pairs import COMPARED, units
-from experiments.analysis.plan import FOURTH as PLAN
-from experiments.analysis.plan import SECOND, Bound, as_data, plan_of
 from experiments.analysis.scores import arms_of
 from experiments.reporting import tables
 from experiments.study.design.arms import PAIRS
 from experiments.study.results.store import load
-from experiments.support.files import canonical_json, sha256_bytes
 from tests.experiments import synthetic
+from tests.experiments.analysis.plans import BELIEF as PLAN
+from tests.experiments.analysis.plans import MIXED
 
 HALF, SCENARIOS = 5, 60
 # Crash rates in regular and in risky traffic.
@@ -163,27 +161,11 @@ class TestInfluence:
     def test_nothing_is_asked_of_a_study_without_pairs_or_of_one_pair(self, drives: pd.DataFrame) -> None:
         assert influence(drives[drives["kind"] == "agent"], PLAN).empty
         assert influence(drives[drives["seed"].isin([200, 205])], PLAN).empty
-        assert influence(drives, SECOND).empty
-
-
-class TestPlan:
-    def test_follows_the_preset(self) -> None:
-        assert plan_of(["pairs"]) is PLAN and plan_of(["second"]) is not PLAN
-
-    def test_asks_what_was_decided(self) -> None:
-        assert PLAN.price[:2] == (
-            Bound("belief", "two-treatment", "risky", 0.05),
-            Bound("belief", "two-control", "regular", 0.025),
-        )
-        assert PLAN.arms == ("control", "treatment", "mixed")
-
-    def test_its_digest_stands(self) -> None:
-        data = as_data(PLAN, THRESHOLDS)
-        assert sha256_bytes(canonical_json(data).encode())[:12] == "20a430da06f5"
+        assert influence(drives, MIXED).empty
 
 
 def test_a_report_answers_the_questions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: dict[str, Any] = {"seeds": 4, "pairs": True, "preset": "pairs"}
+    asked: dict[str, Any] = {"seeds": 4, "pairs": True, "preset": "of a belief"}
     synthetic.write(tmp_path, {"u-turn": (1,)}, tests=12, further=("mixed",), **asked)
     found = analyse(load(tmp_path))
     assert found.plan["version"] == 4 and not found.notes["left_out"]
@@ -198,7 +180,7 @@ def test_a_report_answers_the_questions(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_a_report_has_a_row_for_everybody_who_drives(tmp_path: Path) -> None:
-    asked: dict[str, Any] = {"seeds": 4, "pairs": True, "preset": "pairs"}
+    asked: dict[str, Any] = {"seeds": 4, "pairs": True, "preset": "of a belief"}
     synthetic.write(tmp_path, {"u-turn": (1,), "roundabout": (1,)}, tests=12, further=("mixed",), **asked)
     found = analyse(load(tmp_path))
     rates = tables.pairs(found, "sumo").set_index("who drives")

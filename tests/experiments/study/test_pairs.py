@@ -10,12 +10,11 @@ import pytest
 import torch
 
 from agents.belief import Estimator
-from experiments.analysis.plan import FOURTH as PLAN
 from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.grid import Cell, cell_name
-from experiments.study.design.presets import PRESETS, cells_of
+from experiments.study.design.presets import cells_of
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
@@ -130,19 +129,3 @@ class TestSweep:
         assert tasks[0].done()
         again = tasks[0]._test(tasks[0].make_env("sumo", "u-turn", {}), lambda: None, {})[EPISODES]
         assert again["actions"].tolist() == store.tables(name)[EPISODES]["actions"].tolist()
-
-
-def test_the_plan_is_of_the_cells_that_the_preset_asks_for() -> None:
-    preset = PRESETS["pairs"]
-    asked = {name: getattr(preset, name) for name in ("first_seed", "seeds", "first_scenario", "episodes")}
-    assert PLAN.design == {**asked, "rule": list(estimators.RULE)}
-    cells = cells_of(Experiment(preset="pairs"), known)
-    places = {(cell.task, cell.level_name) for cell in cells}
-    assert places == set(PLAN.settings)
-    compared = {name for bound in PLAN.price for name in (bound.arm, bound.against)} - {
-        "one-control",
-        "one-treatment",
-    }
-    assert compared <= {cell.arm for cell in cells}
-    per_setting = {place: sum((cell.task, cell.level_name) == place for cell in cells) for place in places}
-    assert set(per_setting.values()) == {30 + 85 + 6}

@@ -1,55 +1,17 @@
-"""Published folders are whole, and the configurations and dynamics in their keys are today's.
-
-That a name is the hash of a cell's key is checked whenever it is read.
-"""
+"""Simulators and learners do what `fingerprints.json` says, and a change is named before a sweep begins."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-from functools import cache
 from typing import Any
 
 import gymnasium as gym
 import pytest
 
-from experiments.backends import BACKENDS, make_env
+from experiments.backends import make_env
 from experiments.study.design import fingerprint
-from experiments.study.design.fingerprint import check_dynamics, check_learners, driven, dynamics
-from experiments.study.design.grid import BACKEND_KEYS
-from experiments.study.results.store import Store
+from experiments.study.design.fingerprint import check_dynamics, check_learners, driven
 from experiments.support.errors import UserError
-from experiments.support.files import canonical_json
-from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
-from tests.golden.numbers import PUBLISHED, RESULTS
-
-
-@cache
-def cells(folder: str) -> dict[str, dict[str, Any]]:
-    return Store(RESULTS / folder).records()
-
-
-@pytest.mark.parametrize("folder", PUBLISHED)
-def test_every_packed_table_of_a_published_folder_is_here(folder: str) -> None:
-    listed = json.loads((RESULTS / folder / "packed.json").read_text())["files"]
-    assert [file for file in listed if not (RESULTS / folder / file).is_file()] == []
-    Store(RESULTS / folder).tables(next(iter(cells(folder))))
-
-
-@pytest.mark.parametrize("folder", PUBLISHED)
-def test_the_configuration_of_published_cells_is_accepted(folder: str) -> None:
-    stored = {canonical_json([c["key"]["task"], c["key"]["env_config"]]) for c in cells(folder).values()}
-    for task, config in map(json.loads, stored):
-        resolve(task, TASKS[task].defaults, {k: v for k, v in config.items() if k not in BACKEND_KEYS})
-
-
-def test_the_dynamics_of_published_cells_are_those_of_today() -> None:
-    stored = set()
-    for cell in (cell for folder in PUBLISHED for cell in cells(folder).values()):
-        for key in (cell["key"], {**cell["key"], **cell["key"].get("test_on", {})}):
-            stored.add((key["backend"], key["task"], key["dynamics"]))
-    assert stored == {(backend, task, dynamics(backend, task)) for backend in BACKENDS for task in TASKS}
 
 
 @pytest.mark.parametrize("backend", ["sumo", "replica"])
@@ -98,12 +60,3 @@ def test_a_simulator_that_behaves_otherwise_is_named_before_a_sweep_begins(monke
 @pytest.mark.slow
 def test_highway_env_does_what_it_did() -> None:
     check_dynamics(("highway-env", task) for task in TASKS)
-
-
-def test_the_published_folders_have_few_files() -> None:
-    # results/second-rest is not published: the folder holds single cells until these are packed.
-    command = ["git", "-C", str(RESULTS), "ls-files", ".", ":!second-rest"]
-    listed = subprocess.run(command, capture_output=True, text=True, check=False)
-    if listed.returncode:
-        pytest.skip("not a checkout")
-    assert 0 < len(listed.stdout.splitlines()) <= 120

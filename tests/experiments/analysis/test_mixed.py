@@ -1,4 +1,4 @@
-"""The plan of the second study, on made-up agents whose truth is known."""
+"""A plan that asks for the gain without the price, on made-up agents whose truth is known."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.claims import all_hold, price
 from experiments.analysis.effects import contrasts
 from experiments.analysis.gates import change, last_second
-from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, plan_of
+from experiments.analysis.plan import DEFAULT, Learner, plan_of
 from experiments.analysis.scores import Arms, Setting
-from experiments.study.design.grid import env_config
 from experiments.study.design.sheet import SHEETS
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic
+from tests.experiments.analysis.plans import MIXED
 
 PAIRS = [("treatment", "control"), ("mixed", "control"), ("mixed", "treatment")]
 CRASHES = [("crashed", "risky"), ("crashed", "regular")]
@@ -59,17 +59,14 @@ HOPELESS = [("two-way", "10+4"), ("two-way", "15+6")]
 
 
 def judged(places: dict[Setting, Arms]) -> pd.DataFrame:
-    return price(contrasts(places, dict.fromkeys(PAIRS, CRASHES)), SECOND)
+    return price(contrasts(places, dict.fromkeys(PAIRS, CRASHES)), MIXED)
 
 
 class TestPlan:
     def test_follows_the_preset(self) -> None:
-        assert [plan_of([name]) for name in ("second", "standard", "quick")] == [SECOND, TWO_BATCHES, DEFAULT]
+        assert [plan_of([name]) for name in ("of mixed training", "quick")] == [MIXED, DEFAULT]
 
-    def test_its_ranges_are_one_for_each_second(self) -> None:
-        """And those of a later plan are the sheets'."""
-        assert SECOND.learner is not None
-        assert SECOND.learner.ranges == {task: env_config("sumo", task, 1)["duration"] for task in TASKS}
+    def test_its_ranges_are_the_sheets(self) -> None:
         assert Learner().ranges == {task: own.return_range for task, own in SHEETS.items()}
 
 
@@ -174,7 +171,7 @@ class TestLearner:
 )
 def test_a_study_is_reported_while_it_runs(there: Any, settings: set[str], tmp_path: Any) -> None:
     written = synthetic.write(
-        tmp_path, {"u-turn": (1, 2)}, seeds=2, tests=6, further=("mixed",), preset="second"
+        tmp_path, {"u-turn": (1, 2)}, seeds=2, tests=6, further=("mixed",), preset="of mixed training"
     )
     for cell in written:
         if not there(cell):
@@ -186,14 +183,16 @@ def test_a_study_is_reported_while_it_runs(there: Any, settings: set[str], tmp_p
 
 
 def test_before_any_setting_is_complete_the_command_says_so(tmp_path: Any) -> None:
-    written = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, baselines=(), preset="second")
+    written = synthetic.write(
+        tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, baselines=(), preset="of mixed training"
+    )
     (tmp_path / "cells" / f"{written[0].name}.parquet").unlink()
     with pytest.raises(UserError, match="no setting is complete yet"):
         analyse(load(tmp_path))
 
 
 def test_without_mixed_training_its_price_is_open(tmp_path: Any) -> None:
-    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, preset="second")
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, preset="of mixed training")
     found = analyse(load(tmp_path))
     assert found.price.empty
     assert set(found.effects["family"].dropna()) == {"benefits", "harms", "paper", ""}
@@ -204,9 +203,13 @@ class TestStudy:
 
     @pytest.fixture(scope="class")
     def home(self, tmp_path_factory: pytest.TempPathFactory) -> Any:
-        home = tmp_path_factory.mktemp("second")
+        home = tmp_path_factory.mktemp("mixed")
         cells = synthetic.write(
-            home, {"highway": (1,), "u-turn": (1, 2)}, tests=10, further=("mixed",), preset="second"
+            home,
+            {"highway": (1,), "u-turn": (1, 2)},
+            tests=10,
+            further=("mixed",),
+            preset="of mixed training",
         )
         [lost] = [cell.name for cell in cells if cell.slug == "sumo-u-turn-6-mixed-s2"]
         (home / "cells" / f"{lost}.parquet").write_bytes(b"")

@@ -364,12 +364,3 @@ def test_what_sumo_writes_goes_to_a_folder_or_nowhere(road: tuple[Path, Path], t
     env.step({"car_0": 0})
     env.close()
     assert [path.parent.name for path in tmp_path.rglob("trips.xml")] == ["episode-1"]
-
-
-@needs_sumo
-@pytest.mark.parametrize(
-    "parts", [{}, {"vehicles": ["early"], "vehicle_type": "cav"}, {"vehicle_type": "cav"}]
-)
-def test_a_fleet_has_ids_or_a_type(road: tuple[Path, Path], parts: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match="either vehicles="):
-        sumo_env.parallel_env(road[0], routes=road[1], **parts)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import gzip
-import os
 import re
 import socket
 import warnings
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -118,33 +116,6 @@ def test_what_an_additional_file_writes_goes_nowhere(town: Path, tmp_path: Path)
     assert out.read_text() == "mine" and sorted(tmp_path.iterdir()) == [file, out]
 
 
-def test_outputs_of_a_configuration_do_not_connect(town: Path, tmp_path: Path) -> None:
-    config = town / "connects.sumocfg"
-    config.write_text((town / "t.sumocfg").read_text().replace("trips.xml", "localhost:8000"))
-    with pytest.raises(ConfigError, match="tripinfo-output='localhost:8000' opens a connection"):
-        SumoDrivingEnv(config, ego_vehicle="ego", output_dir=tmp_path)
-
-
-def changed(town: Path, options: str) -> Path:
-    """The configuration of a town with further options."""
-    config = town / "odd.sumocfg"
-    config.write_text((town / "t.sumocfg").read_text().replace("<time>", f"<time>{options}"))
-    return config
-
-
-def test_outputs_of_a_configuration_go_to_the_folder_alone(town: Path, tmp_path: Path) -> None:
-    """SUMO writes a file of this output for each step where the option says, whatever the prefix of outputs is."""
-    config = changed(town, f'<vtk-output value="{tmp_path}/precious"/>')
-    with pytest.raises(ConfigError, match=r"vtk-output='.*precious' is not written to output_dir"):
-        SumoDrivingEnv(config, ego_vehicle="ego", output_dir=tmp_path / "out")
-
-
-def test_an_option_of_two_values_is_refused(town: Path) -> None:
-    config = changed(town, '<n value="grid.net.xml"/><begin value="3"/><b value="5"/>')
-    with pytest.raises(ConfigError, match=r"odd\.sumocfg: the option 'begin' is given twice: '3' and '5'"):
-        SumoDrivingEnv(config, ego_vehicle="ego")
-
-
 @needs_sumo
 def test_sumo_reads_no_schema_of_the_network(town: Path, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server, warnings.catch_warnings():
@@ -163,32 +134,3 @@ def test_sumo_reads_no_schema_of_the_network(town: Path, tmp_path: Path) -> None
         server.setblocking(False)
         with pytest.raises(BlockingIOError):
             server.accept()
-
-
-@pytest.mark.parametrize("encoding", ["shift_jis", "ufo"])
-def test_an_encoding_that_is_not_known_is_named(encoding: str, town: Path, tmp_path: Path) -> None:
-    refused(f"<?xml version='1.0' encoding='{encoding}'?><routes/>", tmp_path)
-    config = town / "odd.sumocfg"
-    config.write_text(f"<?xml version='1.0' encoding='{encoding}'?><configuration/>")
-    with pytest.raises(ConfigError, match=r"odd\.sumocfg cannot be read"):
-        SumoDrivingEnv(config, ego_vehicle="ego")
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [(' fromLane="0"', ' fromLane="-1"'), ("<location ", '<edge id="q" from="A0" to="A1"/><location ')],
-)
-def test_a_network_that_does_not_fit_itself_is_named(old: str, new: str, town: Path) -> None:
-    network = town / "odd.net.xml"
-    network.write_text((town / "grid.net.xml").read_text().replace(old, new))
-    with pytest.raises(ConfigError, match=r"odd\.net\.xml"):
-        SumoDrivingEnv(network, town / "t.rou.xml", ego_vehicle="ego")
-
-
-@pytest.mark.parametrize("argument", ["network", "routes", "additional"])
-def test_a_pipe_is_not_waited_for(argument: str, town: Path, tmp_path: Path) -> None:
-    files: dict[str, Any] = {"network": town / "grid.net.xml", "routes": town / "t.rou.xml"}
-    files[argument] = tmp_path / "pipe.xml"
-    os.mkfifo(files[argument])
-    with pytest.raises(ConfigError, match=r"there is no file .*pipe\.xml"):
-        SumoDrivingEnv(**files, ego_vehicle="ego")

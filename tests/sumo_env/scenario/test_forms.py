@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env import parallel_env
-from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
 from tests.processes import python
 from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
@@ -302,14 +300,6 @@ def test_people_are_said_not_to_be_seen(net: Path, tmp_path: Path) -> None:
     config = written(tmp_path, net, says()(""), {}, CONTENTS["people"])
     with pytest.warns(UserWarning, match="on foot"):
         SumoDrivingEnv(config, ego_vehicle="ego")
-
-
-def test_a_type_that_is_none_is_said_at_once(net: Path, tmp_path: Path) -> None:
-    types = '<vTypeDistribution id="mix"><vType id="quick"/><vType id="slow"/></vTypeDistribution>'
-    config = written(tmp_path, net, says()(""), {}, {"a": types})
-    for name, word in (("mix", "distribution"), ("quikc", "quick")):
-        with pytest.raises(ConfigError, match=word):
-            parallel_env(config, vehicle_type=name, max_cars=2)
 
 
 def test_arguments_of_any_name(

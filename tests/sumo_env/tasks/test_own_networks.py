@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -115,21 +114,6 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"network": "nowhere.net.xml"}, "there is no file .*nowhere.net.xml"),
-        ({"ego_route": ["A0A9"]}, "edge 'A0A9'"),
-        ({"routes": [["A0A1", "B1B2"]]}, "route 0"),
-        ({"routes": "nowhere.rou.xml"}, "there is no file .*nowhere.rou.xml"),
-    ],
-)
-def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], message: str) -> None:
-    parts: dict[str, Any] = {"network": blocks, "routes": ROUTES, "ego_route": EGO, **change}
-    with pytest.raises(ConfigError, match=message):
-        SumoDrivingEnv(**parts).reset(seed=0)
-
-
-@pytest.mark.parametrize(
     ("element", "words"),
     [
         ('<trip id="t" from="out" to="main" depart="0"/>', "no valid route"),
@@ -145,17 +129,6 @@ def test_what_sumo_refuses_is_an_error_of_the_reset_with_sumo_s_own_words(
     with pytest.raises(SimulatorError, match="SUMO cannot begin") as caught:
         env.reset(seed=0)
     assert words in str(caught.value) + capfd.readouterr().err
-
-
-def test_files_and_lists_in_each_other_s_place_are_named(merge: Path, tmp_path: Path) -> None:
-    demand = route_file(tmp_path, "")
-    for network, routes, message in (
-        (demand, [], "has no edges: is it a SUMO network"),
-        (merge, ["main", "out"], "route 0 must be a list of edges.*not 'main'"),
-        (merge, {"r": "main out"}, "route r must be a list of edges"),
-    ):
-        with pytest.raises(ConfigError, match=message):
-            SumoDrivingEnv(network, routes, ["main", "out"])
 
 
 def test_a_network_without_lanes_inside_its_junctions_is_refused(tmp_path: Path) -> None:

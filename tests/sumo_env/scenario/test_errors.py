@@ -1,0 +1,119 @@
+"""What is refused of SUMO's own files: a row is what a user gives, the type of the error, and the word to act on."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sumo_env import parallel_env
+from sumo_env.config import ConfigError
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.simulator import SimulatorError
+from tests.sumo_env.plans import needs_sumo
+from tests.sumo_env.scenario.files import written
+
+pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
+WAY = ["A0A1", "A1B1", "B1C1", "C1C2"]
+CONFIG, NET, ROUTES = "t.sumocfg", "grid.net.xml", "t.rou.xml"
+MIX = '<vType id="quick"/><vTypeDistribution id="mix" vTypes="quick"/>'
+# Files that are another one with one text in place of another.
+CHANGED: dict[str, tuple[str, str, str]] = {
+    "meso.sumocfg": (CONFIG, "</input>", '</input><mesosim value="true"/>'),
+    "connects.sumocfg": (CONFIG, "trips.xml", "localhost:8000"),
+    "vtk.sumocfg": (CONFIG, "<time>", '<time><vtk-output value="/nowhere/precious"/>'),
+    "twice.sumocfg": (CONFIG, "<time>", '<time><n value="grid.net.xml"/><begin value="3"/><b value="5"/>'),
+    "shift.sumocfg": (CONFIG, "<configuration>", "<?xml version='1.0' encoding='shift_jis'?><configuration>"),
+    "ufo.rou.xml": (ROUTES, "<routes>", "<?xml version='1.0' encoding='ufo'?><routes>"),
+    "no.net.xml": (NET, ' fromLane="0"', ' fromLane="-1"'),
+    "none.net.xml": (NET, "<location ", '<edge id="q" from="A0" to="A1"/><location '),
+    "mix.add.xml": ("t.add.xml", "<additional>", f"<additional>{MIX}"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = written(tmp_path_factory.mktemp("town"), "static").parent
+    for name, (origin, old, new) in CHANGED.items():
+        text = (folder / origin).read_text()
+        assert old in text, name
+        (folder / name).write_text(text.replace(old, new))
+    os.mkfifo(folder / "pipe.xml")
+    return folder
+
+
+def ego(network: str = CONFIG, **more: Any) -> dict[str, Any]:
+    """The arguments of the car that the files call "ego"."""
+    return {"network": network, "ego_vehicle": "ego", **more}
+
+
+def own(**more: Any) -> dict[str, Any]:
+    """The arguments of a car on the network, which the files do not have."""
+    return {"network": NET, "routes": [WAY], "ego_route": WAY, **more}
+
+
+ROWS: list[tuple[dict[str, Any], type[Exception], str]] = [
+    (ego(ego_vehicle="wst.0"), ConfigError, "did you mean one of"),
+    (ego(ego_vehicle=None), ConfigError, "one of ego_route"),
+    (ego(ego_route=WAY), ConfigError, "one of ego_route"),
+    (ego(ego_type="DEFAULT_VEHTYPE"), ConfigError, "its own type"),
+    (ego(config={"initial_speed": "max"}), ConfigError, "'initial_speed'"),
+    (ego(config={"traffic_scale": 2}), ConfigError, "2 numbers"),
+    (ego(config={"traffic_scale": [0.5, 1]}), ConfigError, "traffic_scale"),
+    (ego(sumo_options=["--mesosim"]), ConfigError, "the environment's own"),
+    (ego(ego_vehicle="west.20", config={"wait": 5}), SimulatorError, "('wait')"),
+    (ego(config={"warm_up": 200}), SimulatorError, "'warm_up'"),
+    (own(network=CONFIG, routes=[], config={"traffic_scale": [2, 1]}), ConfigError, "traffic_scale"),
+    (own(network=CONFIG, routes=[], sumo_options=["--begin=5"]), ConfigError, "begin"),
+    (own(ego_type="lorry9"), SimulatorError, "lorry9"),
+    (own(ego_route="A0A1"), ConfigError, "list of edges"),
+    (own(ego_route=["A0A9"]), ConfigError, "edge 'A0A9'"),
+    (own(ego_route=[["A0A1", "C1C2"]]), ConfigError, "no connection leads from edge 'A0A1'"),
+    (own(ego_route=None, ego_trips=["A0A1"]), ConfigError, "pairs of edges"),
+    (own(ego_route=None, ego_trips=[[22, 3]]), ConfigError, "names of edges"),
+    (own(ego_route=None, ego_trips=[["A0A1", "B9"]]), ConfigError, "edge 'B9'"),
+    (own(routes=[["A0A1", "B1B2"]]), ConfigError, "route 0"),
+    (own(routes=["A0A1", "A1B1"]), ConfigError, "list of edges"),
+    (own(routes={"r": "A0A1 A1B1"}), ConfigError, "route r"),
+    # files
+    (own(network="nowhere.net.xml"), ConfigError, "no file"),
+    (own(routes="nowhere.rou.xml"), ConfigError, "no file"),
+    (own(network=ROUTES), ConfigError, "no edges"),
+    (own(routes=NET), ConfigError, "is a network"),
+    (own(routes=CONFIG), ConfigError, "is a configuration"),
+    (own(routes="ufo.rou.xml"), ConfigError, "ufo.rou.xml"),
+    (own(network="no.net.xml"), ConfigError, "no.net.xml"),
+    (own(network="none.net.xml"), ConfigError, "none.net.xml"),
+    (ego("shift.sumocfg"), ConfigError, "shift.sumocfg cannot be read"),
+    (ego("meso.sumocfg"), ConfigError, "'mesosim'"),
+    (ego("twice.sumocfg"), ConfigError, "'begin' is given twice"),
+    (ego("connects.sumocfg", output_dir="out"), ConfigError, "opens a connection"),
+    (ego("vtk.sumocfg", output_dir="out"), ConfigError, "is not written to output_dir"),
+    # a pipe is not waited for
+    *((own(**{argument: "pipe.xml"}), ConfigError, "no file") for argument in ("network", "routes", "additional")),
+]  # fmt: skip
+FLEETS: list[tuple[dict[str, Any], str]] = [
+    ({}, "either vehicles="),
+    ({"vehicles": ["ego"], "vehicle_type": "DEFAULT_VEHTYPE"}, "either vehicles="),
+    ({"vehicle_type": "DEFAULT_VEHTYPE"}, "either vehicles="),
+    ({"vehicle_type": "mix", "max_cars": 2, "additional": "mix.add.xml"}, "distribution"),
+    ({"vehicle_type": "quikc", "max_cars": 2, "additional": "mix.add.xml"}, "quick"),
+]
+
+
+@pytest.mark.parametrize(("given", "error", "word"), ROWS, ids=str)
+def test_an_environment_is_refused(town: Path, monkeypatch, given, error: type[Exception], word: str) -> None:
+    monkeypatch.chdir(town)
+    with pytest.raises(error) as caught:
+        SumoDrivingEnv(**given).reset(seed=0)
+    assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(("given", "word"), FLEETS, ids=str)
+def test_a_fleet_is_refused(town: Path, monkeypatch, given: dict[str, Any], word: str) -> None:
+    monkeypatch.chdir(town)
+    with pytest.raises(ConfigError) as caught:
+        parallel_env(NET, routes=ROUTES, **given)
+    assert word in str(caught.value)

@@ -58,8 +58,7 @@ class Experiment:
     backend: Annotated[str, argument("NAME", "sumo")] = "sumo"
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
-    """Size: smoke (a minute), quick (10 minutes), standard, paper, choice, first-clock, rl-agents-dueling,
-    rl-agents-attention (hours), second, pairs (days)."""
+    """Size: smoke (a minute), quick (10 minutes), choice, study, paper (hours)."""
     tasks: Annotated[tuple[str, ...], argument("TASK ...", "the five")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn."""
     levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()

@@ -32,67 +32,32 @@ PAPER = {
     "by_hand": False,
 }
 # How training episodes end, by task (see `wrappers`): with a longer clock than the test's, of which the share that is
-# over is observed in both; in earlier studies with the test's time limit, which was terminal.
+# over is observed in both.
 LONGER = {
     task: {"training_clock": [own.clock, own.clock], "time_observed": own.clock}
     for task, own in SHEETS.items()
     if own.clock
 }
-FIRST_CLOCK = {task: {"finite_horizon": True} for task, own in SHEETS.items() if own.first_clock}
 
 
-def tuned(
-    updates: Mapping[str, int], clock: Mapping[str, Mapping[str, Any]] = LONGER, **settings: Any
-) -> dict[str, dict[str, Any]]:
+def tuned(updates: Mapping[str, int], **settings: Any) -> dict[str, dict[str, Any]]:
     """The profile "tuned" by task: the defaults of `agents.dqn.DQNConfig`, but for these.
 
-    updates: budget of an agent by task. clock: by task how its training episodes end, see `rules.TrainingRules`.
+    updates: budget of an agent by task.
     """
-    return {task: {"updates": budget, **clock.get(task, {}), **settings} for task, budget in updates.items()}
+    return {task: {"updates": budget, **LONGER.get(task, {}), **settings} for task, budget in updates.items()}
 
 
-SECOND_STEPS = {task: own.second_steps for task, own in SHEETS.items()}
-SECOND = Experiment(
-    preset="second",
-    about="the second study: learners that go on until they have finished, five seeds, 400 scenarios: days",
+STUDY = Experiment(
+    preset="study",
+    about="the study: learners that go on until they have finished, five seeds, 400 scenarios: 17 core hours",
     seeds=5,
     episodes=400,
     gate_episodes=100,
-    learners=tuned(SECOND_STEPS),
-    first_seed=100,
-    first_scenario=1000,
+    learners=tuned({task: own.study_steps for task, own in SHEETS.items()}),
+    first_seed=300,
+    first_scenario=4000,
 )
-# Settings of rl-agents' HighwayEnv/agents/DQNAgent/dueling_ddqn.json and IntersectionEnv/agents/DQNAgent/
-# ego_attention_2h.json; the networks, the clip of the gradient's norm and the random steps are this project's.
-RL_AGENTS = {
-    "learning_rate_final": 5e-4,
-    "clip_goals": False,
-    "tau": 1.0,
-    "replay_capacity": 15_000,
-    "warm_up": 200,
-    "standardise": False,
-    "epsilon_final": 0.05,
-    "by_hand": False,
-}
-
-
-def rl_agents(network: str, exploration: int, **settings: Any) -> Experiment:
-    """A preset with rl-agents' settings, for as many environment steps as in the second study.
-
-    exploration: time constant of the decay of random actions [steps].
-    """
-    learners = {}
-    for task, own in SHEETS.items():
-        updates = own.second_steps + 800  # as many steps as after 1000 random ones
-        given = {"network": network, "updates": updates, "epsilon_decay": exploration / updates, **settings}
-        learners[task] = {**RL_AGENTS, **given}
-    name = f"rl-agents-{network}"
-    about = f"rl-agents' settings on the network {network}, in regular traffic: hours"
-    return replace(
-        SECOND, preset=name, about=about, levels=(1,), seeds=3, arms=("control",), learners=learners
-    )
-
-
 PRESETS = {
     experiment.preset: experiment
     for experiment in (
@@ -114,43 +79,9 @@ PRESETS = {
             gate_episodes=100,
             learners=tuned({task: own.quick_updates for task, own in SHEETS.items()}),
         ),
-        Experiment(
-            preset="standard",
-            about="the paper's 18 settings, ten seeds per arm (the published study has five in most), many hours",
-            seeds=10,
-            episodes=100,
-            gate_episodes=100,
-            learners=tuned(
-                {task: own.standard_updates for task, own in SHEETS.items()},
-                FIRST_CLOCK,
-                steps_per_update=4,
-                batch_size=100,
-                tau=0.005,
-            ),
-        ),
-        SECOND,
+        STUDY,
         replace(
-            SECOND,
-            preset="first-clock",
-            about="the second study's u-turn and roundabout, where agents see when the test ends: hours",
-            tasks=tuple(FIRST_CLOCK),
-            levels=(1,),
-            learners=tuned(SECOND_STEPS, FIRST_CLOCK),
-        ),
-        replace(
-            SECOND,
-            preset="pairs",
-            about="two agents together, and what a belief about the traffic adds: ten seeds, 800 scenarios, a day",
-            levels=(1,),
-            seeds=10,
-            episodes=800,
-            arms=("control", "treatment", "mixed"),
-            pairs=True,
-            first_seed=200,
-            first_scenario=2000,
-        ),
-        replace(
-            SECOND,
+            STUDY,
             preset="choice",
             about="the choice of the learner (experiments/choose.py), by agents that no report uses: hours",
             seeds=3,
@@ -158,8 +89,6 @@ PRESETS = {
             first_seed=7000,
             first_scenario=70_000,
         ),
-        rl_agents("dueling", 6000, gamma=0.8, batch_size=32, target_interval=50),
-        rl_agents("attention", 15_000, gamma=0.95, batch_size=64, target_interval=512),
         Experiment(
             preset="paper",
             about="the paper's 18 settings with its own learner, 3072 episodes' worth of updates: many hours",

@@ -1,7 +1,7 @@
 """What is studied about a task, on one sheet a task: all that the study knows of a task by its name.
 
 A task of your own is studied by a further entry (docs/own-parts.md). What is asked of a task without a sheet is an
-error that names the file. `GRID` is the paper's 18 settings; published plans have a copy of their own.
+error that names the file. `GRID` is the paper's 18 settings.
 """
 
 from __future__ import annotations
@@ -38,9 +38,8 @@ class Sheet:
 
     return_range: largest difference between the returns of two episodes, for margins and the learner's checks.
     episode_length: mean length of a training episode [policy steps], which turns the paper's episodes into updates.
-    quick_updates, standard_updates: budgets of these presets. second_steps: environment steps of the second study.
+    quick_updates: budget of this preset. study_steps: environment steps of the study.
     clock: a training clock longer than the test's, observed as a share [s]; None to train with the test's time limit.
-    first_clock: whether the time limit is terminal and observed in the first version of "tuned".
     crossing: way from the start to just inside a crossing that the task is about [m]; None without one.
     lane_changes: whether the traffic changes lanes, as a measure of the validation. egos_without: egos that the
         validation leaves out. rises: whether crashes of the careful ego are fitted to rise with the dose.
@@ -51,10 +50,8 @@ class Sheet:
     return_range: float
     episode_length: int
     quick_updates: int = 8000
-    standard_updates: int = 10_000
-    second_steps: int = 40_000
+    study_steps: int = 40_000
     clock: int | None = None
-    first_clock: bool = False
     crossing: float | None = None
     lane_changes: bool = True
     egos_without: frozenset[str] = frozenset()
@@ -85,8 +82,7 @@ SHEETS: dict[str, Sheet] = {
         return_range=15.0,
         episode_length=6,
         quick_updates=14_000,
-        standard_updates=20_000,  # 10,000 are too few (docs/learner.md)
-        second_steps=160_000,
+        study_steps=160_000,
         lane_changes=False,
         egos_without=frozenset({"faster"}),
         rises=False,
@@ -97,7 +93,6 @@ SHEETS: dict[str, Sheet] = {
         episode_length=10,
         quick_updates=7000,
         clock=15,
-        first_clock=True,
         crossing=24.5,  # an ego's length beyond the entry
         drivers={
             "lane_changes": SWITCH,
@@ -126,9 +121,8 @@ SHEETS: dict[str, Sheet] = {
         return_range=10.0,
         episode_length=9,
         quick_updates=7000,
-        second_steps=80_000,
+        study_steps=80_000,
         clock=13,
-        first_clock=True,
         drivers={"lane_changes": SWITCH, "assertive": Between(0.5, 1.3)},
         risk={**up_to(cut_in=0.6, brake=0.3), **CLOSER, "decel": FACTOR},
     ),

@@ -8,7 +8,7 @@ import pytest
 
 from agents.streams import episode_seed
 from experiments.study.design import experiment, grid
-from experiments.study.design.arms import DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import unseen_traffics
@@ -131,15 +131,23 @@ def test_seeds_of_tests_and_of_trainings_are_apart_from_each_other():
 
 
 @pytest.mark.parametrize("learner", ["dqn", "sb3-dqn", "sb3-ppo"])
-def test_learners_from_elsewhere_have_the_steps_of_the_second_study(learner: str):
+def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
     def steps(**asked) -> dict[str, int]:
         found = cells_of(Experiment(backend="replica", levels=(1,), arms=("control",), **asked))
         return {cell.task: cell.budget[0] for cell in found if cell.kind == "agent"}
 
-    ours = steps(preset="second")
-    assert len(ours) == 5
-    for preset in ("rl-agents-dueling", "rl-agents-attention"):
-        assert steps(preset=preset, learner=learner) == ours
+    ours = steps(preset="study")
+    assert len(ours) == 5 and steps(preset="study", learner=learner) == ours
+
+
+def test_the_study_has_seeds_and_scenarios_that_no_other_preset_has() -> None:
+    study = cells_of(Experiment(preset="study"))
+    agents = [cell for cell in study if cell.kind == "agent"]
+    places = {(cell.task, cell.level_name) for cell in agents}
+    assert len(places) == 18 and len(agents) == 18 * 2 * 5
+    assert {(cell.arm, cell.seed) for cell in agents} == {(a, s) for a in ARMS for s in range(300, 305)}
+    asked = {"episodes": 400, "gate_episodes": 100, "first_scenario": 4000}
+    assert all(cell.eval == asked for cell in study)
 
 
 @pytest.mark.parametrize("first", [-1, 10**9 - 1])

@@ -130,16 +130,6 @@ def test_vehicles_and_road_can_be_read(id: str) -> None:
         assert env.road.network.get_closest_lane_index(ego.position, ego.heading) == ego.lane_index
 
 
-def test_what_is_read_cannot_be_written(highway: DrivingEnv) -> None:
-    with pytest.raises(AttributeError, match="'speed' can only be read"):
-        highway.vehicle.speed = 30.0
-    with pytest.raises(ValueError, match="read-only"):
-        highway.vehicle.position[0] = 0.0
-    with pytest.raises(AttributeError, match=r"'vehicles' can only be read.*\(docs/own-parts\.md\)"):
-        highway.road.vehicles.append(highway.vehicle)  # type: ignore[attr-defined]
-    assert not hasattr(highway.road.vehicles, "speed")
-
-
 def test_available_actions_are_those_that_change_something(highway: DrivingEnv) -> None:
     """In the left lane there is nothing to the left; at the top speed nothing is faster."""
     names = highway.action_type.actions_indexes
@@ -151,11 +141,3 @@ def test_available_actions_are_those_that_change_something(highway: DrivingEnv) 
     assert ego.target_speed == 30.0
     available = highway.action_type.get_available_actions()
     assert sorted(available) == [names[n] for n in ("IDLE", "LANE_RIGHT", "SLOWER")]
-
-
-def test_what_does_not_exist_says_where_to_look(highway: DrivingEnv) -> None:
-    """rl-agents calls preprocessors by name, and goes on without those that are an AttributeError."""
-    assert not hasattr(highway, "simplify")
-    with pytest.raises(AttributeError, match=r"'simplify'.*deepcopy.*\(docs/from-highway-env\.md\)"):
-        highway.simplify  # type: ignore[attr-defined]  # noqa: B018
-    assert not hasattr(highway.vehicle, "act")

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from experiments.study.design.grid import Cell
 
 FOLDER = Path(__file__).resolve().parents[3] / "results" / "estimators"
-# Sharpness and threshold, see `agents.belief.sharpened`; chosen as docs/developers/plan_v4.md says.
+# Sharpness and threshold, see `agents.belief.sharpened`; chosen by a pilot (docs/earlier-studies.md).
 RULE = (3.0, 0.3)
 
 

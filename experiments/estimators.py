@@ -1,6 +1,6 @@
 """Train the estimators of the dose of risk (`agents.belief`), and say how good they are.
 
-    python results/pairs/train.py u-turn-3 roundabout-5 intersection-10 two-way-5+2 highway-50
+    python experiments/estimators.py u-turn-3 roundabout-5 intersection-10 two-way-5+2 highway-50
 
 writes results/estimators/SETTING.npz and a row of results/estimators/estimators.csv for each setting. Labelled episodes
 are driven by published agents, half of the episodes with some random actions, in scenarios that no test and no training
@@ -10,15 +10,20 @@ meets.
 from __future__ import annotations
 
 import sys
-from contextlib import closing
 from pathlib import Path
-from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+    import experiments.support.needs  # noqa: F401  (says what has to be installed)
+
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import torch
+import tyro
 from scipy.stats import mannwhitneyu
 
 import agents
@@ -27,8 +32,8 @@ from agents.plugins import sha256
 from agents.rules.perception import Perception
 from agents.streams import stream
 from experiments.backends import make_env
+from experiments.study.design import estimators
 from experiments.study.design.arms import scenario_seed
-from experiments.study.design.estimators import FOLDER
 from experiments.study.design.grid import env_config, level_names
 from experiments.study.design.traffic import TRAFFICS
 from experiments.support.errors import run_command, unknown
@@ -38,10 +43,24 @@ DRIVERS = "control", "treatment", "mixed"
 RANDOM = 0.15  # share of random actions in every second scenario
 # Scenarios that it is trained on, each at both doses. On the u-turn a belief is worth most; on the highway an episode
 # takes long.
-SCENARIOS = {"u-turn-3": 1200, "roundabout-5": 700, "intersection-10": 700, "two-way-5+2": 700, "highway-50": 300}
+SCENARIOS = {
+    "u-turn-3": 1200,
+    "roundabout-5": 700,
+    "intersection-10": 700,
+    "two-way-5+2": 700,
+    "highway-50": 300,
+}
 HELD_OUT = 150  # scenarios that it is judged on, each at both doses
 SECONDS = 1, 2, 3, 5, 8
 SEED = 0
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train the estimators of the dose of risk."""
+
+    settings: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SETTING ...")]
+    """For example u-turn-3 or two-way-5+2."""
 
 
 def collect(task: str, level: int, scenarios: range) -> list[np.ndarray]:
@@ -62,7 +81,7 @@ def collect(task: str, level: int, scenarios: range) -> list[np.ndarray]:
                 table, _ = env.reset(seed=seed, options={"config": {"risk": float(dose)}})
                 driver.reset(seed)
                 perception.reset()
-                read = []
+                read: list[Any] = []
                 while len(read) < steps:
                     read.append(features(perception.look(table), len(table)))
                     wanted = driver.act(table)  # it counts the time, so it is asked at every step
@@ -101,34 +120,35 @@ def train(task: str, level: int) -> dict[str, Any]:
     name = f"{task}-{level_names(task)[level - 1]}"
     number = SCENARIOS.get(name, 700)
     torch.set_num_threads(1)
-    own = [torch.from_numpy(part) for part in collect(task, level, range(number))]
-    fit(*own, seed=SEED).save(FOLDER / f"{name}.npz")
-    estimator = Estimator.load(FOLDER / f"{name}.npz")  # in half precision
-    ego, vehicles, alive, dose = collect(task, level, range(number, number + HELD_OUT))
+    ego, vehicles, alive, dose = map(torch.from_numpy, collect(task, level, range(number)))
+    file = estimators.FOLDER / f"{name}.npz"
+    fit(ego, vehicles, alive, dose, seed=SEED).save(file)
+    estimator = Estimator.load(file)  # in half precision
+    read, others, there, risk = collect(task, level, range(number, number + HELD_OUT))
     with torch.inference_mode():
-        logits = estimator(torch.from_numpy(ego), torch.from_numpy(vehicles))[0].numpy()
+        logits = estimator(torch.from_numpy(read), torch.from_numpy(others))[0].numpy()
     last = np.maximum.accumulate(
-        np.where(alive > 0, np.arange(alive.shape[1]), 0), axis=1
+        np.where(there > 0, np.arange(there.shape[1]), 0), axis=1
     )  # stays once it is over
     estimator.traces = torch.from_numpy(logits).take_along_dim(torch.from_numpy(last), 1).sigmoid()
-    estimator.save(FOLDER / f"{name}.npz")
-    row = {"setting": name, "episodes": 2 * number, "held_out": 2 * HELD_OUT, **judged(logits, alive, dose)}
+    estimator.save(file)
+    row = {"setting": name, "episodes": 2 * number, "held_out": 2 * HELD_OUT, **judged(logits, there, risk)}
     return {
         **row,
         "weights": sum(p.numel() for p in estimator.parameters()),
-        "sha256": sha256(FOLDER / f"{name}.npz"),
+        "sha256": sha256(file),
     }
 
 
-def main(names: list[str]) -> int:
-    """Train the estimators of these settings."""
+def main(options: Options) -> int:
+    """Train the estimators of these settings. Raises UserError for a setting that there is not."""
     known = {f"{task}-{name}": (task, k + 1) for task in TASKS for k, name in enumerate(level_names(task))}
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    for name in names:
+    estimators.FOLDER.mkdir(parents=True, exist_ok=True)
+    for name in options.settings:
         if name not in known:
             raise unknown("setting", name, known)
         row = pd.DataFrame([train(*known[name])]).round(3)
-        file = FOLDER / "estimators.csv"
+        file = estimators.FOLDER / "estimators.csv"
         table = pd.concat([pd.read_csv(file), row]) if file.exists() else row
         table.drop_duplicates("setting", keep="last").sort_values("setting").to_csv(file, index=False)
         print(row.T.to_string(header=False))
@@ -136,4 +156,4 @@ def main(names: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(sys.argv[1:]))
+    run_command(lambda: main(tyro.cli(Options, description=__doc__)))

@@ -1,0 +1,36 @@
+"""The estimators of the dose of risk are trained by one command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from agents.belief import Estimator
+from agents.plugins import sha256
+from experiments import estimators as command
+from experiments.study.design import estimators
+from experiments.support.errors import UserError
+
+
+def test_a_setting_gets_its_estimator_and_a_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From few scenarios, so that it is no good; but another time the same."""
+    monkeypatch.setattr(estimators, "FOLDER", tmp_path / "estimators")
+    monkeypatch.setitem(command.SCENARIOS, "u-turn-3", 4)
+    monkeypatch.setattr(command, "HELD_OUT", 3)
+    found = []
+    for _ in range(2):
+        assert command.main(command.Options(("u-turn-3",))) == 0
+        found.append(sha256(tmp_path / "estimators" / "u-turn-3.npz"))
+    assert found[0] == found[1] and found[0] in capsys.readouterr().out
+    table = pd.read_csv(tmp_path / "estimators" / "estimators.csv")
+    assert table[["setting", "episodes", "held_out"]].to_numpy().tolist() == [["u-turn-3", 8, 6]]
+    assert Estimator.load(tmp_path / "estimators" / "u-turn-3.npz").traces.shape[0] == 6
+
+
+def test_a_setting_that_there_is_not_is_named() -> None:
+    with pytest.raises(UserError, match="u-turn-4"):
+        command.main(command.Options(("u-turn-4",)))

@@ -27,7 +27,6 @@ from agents.belief import (
 )
 from agents.by_hand import Compiled
 from agents.columns import Observed
-from agents.files import save_arrays
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
 from agents.rules.perception import Perception
@@ -94,11 +93,6 @@ class TestEstimator:
         with torch.inference_mode():
             assert torch.allclose(estimator(ego, vehicles)[0], again(ego, vehicles)[0], atol=0.1)
         assert again.traces.tolist() == estimator.traces.tolist()
-
-    def test_a_file_of_something_else_is_refused(self, tmp_path: Path) -> None:
-        save_arrays(tmp_path / "other.npz", {"weights": np.zeros(3)})
-        with pytest.raises(ValueError, match="weights of another network"):
-            Estimator.load(tmp_path / "other.npz")
 
 
 def seen(env: gym.Env[Any, Any], seed: int) -> list[float]:
@@ -192,11 +186,6 @@ class TestWeighed:
         pair, compiled = (Weighed(*(kind(deepcopy(net)) for net in networks)) for kind in (Greedy, Compiled))
         for table in np.random.default_rng(0).uniform(0, 1, (50, 4, 6)).astype(np.float32):
             assert pair.act(table) == compiled.act(table)
-
-    def test_a_value_that_is_no_number_is_refused(self) -> None:
-        pair = Weighed(Greedy(Fixed(1.0, 0.9)), Greedy(Fixed(float("nan"), 0.9)))
-        with pytest.raises(ValueError, match="not a finite number"):
-            pair.act(np.ones((2, 6), np.float32))
 
 
 class TestMoreCareful:

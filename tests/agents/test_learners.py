@@ -13,7 +13,7 @@ import pytest
 
 from agents.dqn import DQNConfig, say_torch
 from agents.learner import settings_of
-from agents.learners import LEARNERS, learner
+from agents.learners import LEARNERS
 from agents.streams import episode_seed
 from tests.agents.networks import weights
 from tests.experiments.computed import Interrupted, interrupting
@@ -98,11 +98,3 @@ def test_a_learner_names_the_packages_that_decide_its_bits(capfd) -> None:
     train("dqn")
     train("dqn")
     assert capfd.readouterr().err.count("torch makes the updates") == 1
-
-
-def test_unknown_learners_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"unknown learner 'sb3-pp': did you mean 'sb3-ppo'\?"):
-        learner("sb3-pp")
-    (tmp_path / "mine.py").write_text("class Mine: pass")
-    with pytest.raises(ValueError, match="has no Settings"):
-        learner(f"{tmp_path}/mine.py:Mine")

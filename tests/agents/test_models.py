@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ from torch.autograd import gradcheck
 from torch.func import functional_call
 
 from agents.by_hand import Passes
-from agents.models import NETWORKS, DuelingMLP, EgoAttention, Standardised, flatten, network_class
+from agents.models import NETWORKS, DuelingMLP, EgoAttention, Standardised, flatten
 
 SPACE = gym.spaces.Box(-1, 1, (6, 5), np.float32)
 ACTIONS = 5
@@ -75,11 +73,6 @@ def test_the_order_of_the_others_does_not_matter_and_the_ego_does(attention: Ego
     assert (attention(x[:, [1, 0, 2, 3, 4, 5]]) - attention(x)).abs().max() > 1e-4
 
 
-def test_attention_needs_a_table_of_vehicles() -> None:
-    with pytest.raises(ValueError, match="vehicles, features"):
-        EgoAttention(gym.spaces.Box(-1, 1, (25,)), ACTIONS)
-
-
 class Echo(torch.nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return x
@@ -108,19 +101,6 @@ def test_observations_of_another_shape_are_standardised_entry_by_entry() -> None
     x = torch.tensor([[0.0, 2.0, 7.0], [0.0, 4.0, 7.0]])
     network.fit(x)
     torch.testing.assert_close(network(x), torch.tensor([[0.0, -(0.5**0.5), 7.0], [0.0, 0.5**0.5, 7.0]]))
-
-
-def test_a_network_that_there_is_not_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").touch()
-    (tmp_path / "wrong.py").write_text("1 / 0\n")
-    for name, message in (
-        (f"{tmp_path}/mine.py:Other", "defines no Other"),
-        (f"{tmp_path}/none.py:Mine", "no file"),
-        ("transformer", "known are attention, dueling, FILE:NAME"),
-        (f"{tmp_path}/wrong.py:Mine", "cannot be run: ZeroDivisionError"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            network_class(name)
 
 
 @pytest.mark.parametrize("others", [0, 3, 5])

@@ -54,12 +54,6 @@ def test_weights_of_another_network_and_damaged_files_are_refused(tmp_path: Path
         Greedy.load(file, network())
 
 
-def test_an_object_that_cannot_act_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text("def nothing(env): return 3\n")
-    with pytest.raises(ValueError, match="no act"):
-        foreign_policy(f"{tmp_path}/mine.py:nothing", ROAD)
-
-
 @pytest.mark.parametrize("algorithm", ["DQN", "PPO"])
 def test_a_model_of_stable_baselines3_drives(tmp_path: Path, algorithm: str) -> None:
     stable_baselines3 = pytest.importorskip("stable_baselines3")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 
 from agents.replay import Replay
@@ -36,8 +35,3 @@ def test_a_batch_holds_whole_transitions() -> None:
     assert torch.equal(batch.actions, number.long() % 3)
     torch.testing.assert_close(batch.rewards, number / 10)
     assert torch.equal(batch.terminated, (number % 5 == 4).float())
-
-
-def test_an_empty_replay_cannot_be_sampled() -> None:
-    with pytest.raises(ValueError, match="empty replay"):
-        Replay(5, (4,)).sample(np.random.default_rng(0), 1)

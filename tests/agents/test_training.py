@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -125,19 +124,19 @@ def test_a_training_that_is_killed_begins_again_and_gives_the_same_bits(network:
 def test_a_target_network_without_lag_shows_as_divergence() -> None:
     """The copy after every update at gamma .99: values far beyond the bound, and a constant policy."""
     config = replace(
-        SMALL, updates=1000, tau=1.0, gamma=0.99, batch_size=100, learning_rate_final=5e-4, standardise=False,
-        probe_interval=250, warm_up=300, epsilon_decay=0.15, clip_goals=False,
+        SMALL, updates=400, tau=1.0, gamma=0.99, batch_size=16, learning_rate_final=5e-4, standardise=False,
+        probe_interval=100, warm_up=300, epsilon_decay=0.15, clip_goals=False,
     )  # fmt: skip
 
     def largest(record: dict[str, Any]) -> float:
         return max(row[2] for row in record["probe_q"])
 
-    agent = train(road(), replace(config, network="dueling"), 0)
+    agent = train(road(), replace(config, network="dueling"), 1)
     assert agent.record["q_bound"] == pytest.approx(1 / 0.01, rel=0.01)  # the fake environment pays at most 1
     assert largest(agent.record) > 1.2 * agent.record["q_bound"]
     observations = np.random.default_rng(0).uniform(-1, 1, (50, 2, 5)).astype(np.float32)
     assert len({agent.policy.act(observation) for observation in observations}) == 1
-    stable = train(road(), replace(config, network="dueling", target_interval=500), 0)
+    stable = train(road(), replace(config, network="dueling", target_interval=200), 1)
     assert largest(stable.record) < 6 < 1.2 * stable.record["q_bound"]
 
 
@@ -168,13 +167,6 @@ def test_values_are_watched_on_the_first_observations() -> None:
     policy: Any = watched.policy
     values = np.array([np.abs(policy.q(observation)).max() for observation in first])
     assert watched.record["probe_q"][-1][1:] == pytest.approx([values.mean(), values.max()])
-
-
-def test_wrong_arguments_are_refused() -> None:
-    with pytest.raises(ValueError, match="Box observations and Discrete actions"):
-        train(gym.make("Pendulum-v1"), SMALL, 0)
-    with pytest.raises(ValueError, match="unknown network"):
-        train(road(), replace(SMALL, network="none"), 0)
 
 
 def test_the_time_limit_is_no_end_to_the_values() -> None:

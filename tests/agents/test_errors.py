@@ -1,0 +1,76 @@
+"""What agents refuse: a row is a call, and the word in its ValueError that says what to do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.belief import Estimator, Weighed
+from agents.dqn import DQNConfig, train
+from agents.files import save_arrays
+from agents.greedy import Greedy
+from agents.learners import learner
+from agents.models import EgoAttention, network_class
+from agents.policies import foreign_policy
+from agents.replay import Replay
+from agents.rules import make_policy
+from tests.agents.test_belief import Fixed
+from tests.agents.test_rules import road
+from tests.experiments.fake_env import FakeEnv
+
+ENV = FakeEnv("u-turn", {})
+FILES = {"mine.py": "class Mine: pass\ndef nothing(env): return 3\n", "wrong.py": "1 / 0\n"}
+NAN = Weighed(Greedy(Fixed(1.0, 0.9)), Greedy(Fixed(math.nan, 0.9)))
+
+
+def other(file: str) -> Path:
+    """A file of arrays that are no weights of an estimate."""
+    save_arrays(Path(file), {"weights": np.zeros(3)})
+    return Path(file)
+
+
+SETTINGS: list[tuple[dict[str, Any], str]] = [
+    ({"gamma": 0.0}, "gamma must be a number above 0"),
+    ({"gamma": 1.0}, "gamma must be below 1"),
+    ({"max_grad_norm": math.nan}, "max_grad_norm must be a number above 0"),
+    ({"max_grad_norm": math.inf}, "max_grad_norm must be a number above 0"),
+    ({"target_interval": 2.5}, "target_interval must be a whole number"),
+    ({"learning_rate": "fast"}, "learning_rate must be a number above 0"),
+    ({"epsilon_final": 1.5}, "epsilon_final must be at most 1"),
+    ({"standardise": 1}, "standardise must be true or false"),
+]
+CALLS: list[tuple[Callable[[], Any], str]] = [
+    *((lambda setting=setting: DQNConfig(**setting), word) for setting, word in SETTINGS),
+    (lambda: learner("sb3-pp"), "did you mean 'sb3-ppo'"),
+    (lambda: learner("mine.py:Mine"), "no Settings"),
+    (lambda: train(gym.make("Pendulum-v1"), DQNConfig(), 0), "Box observations and Discrete actions"),
+    (lambda: train(ENV, DQNConfig(network="none"), 0), "unknown network"),
+    (lambda: network_class("transformer"), "known are attention, dueling, FILE:NAME"),
+    (lambda: network_class("mine.py:Other"), "defines no Other"),
+    (lambda: network_class("none.py:Mine"), "no file"),
+    (lambda: network_class("wrong.py:Mine"), "ZeroDivisionError"),
+    (lambda: EgoAttention(gym.spaces.Box(-1, 1, (25,)), 5), "vehicles, features"),
+    (lambda: Replay(5, (4,)).sample(np.random.default_rng(0), 1), "empty replay"),
+    (lambda: make_policy("brave", road()), "known are"),
+    (lambda: make_policy("faster", road({0: "IDLE", 1: "SLOWER"})), "FASTER"),
+    (lambda: make_policy("careful", road(features=("presence", "x", "y", "vy"))), "no vx"),
+    (lambda: foreign_policy("mine.py:nothing", ENV), "no act"),
+    (lambda: Estimator.load(other("other.npz")), "another network"),
+    (lambda: NAN.act(np.ones((2, 6), np.float32)), "not a finite number"),
+]
+
+
+@pytest.mark.parametrize(("call", "word"), CALLS, ids=[f"{k}-{row[1]}" for k, row in enumerate(CALLS)])
+def test_a_call_is_refused(call: Callable[[], Any], word: str, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError) as caught:
+        call()
+    assert word in str(caught.value)

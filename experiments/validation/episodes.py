@@ -31,6 +31,7 @@ from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import level_names
 from experiments.study.design.sheet import sheet
+from experiments.study.design.traffic import AT_A_DOSE
 from experiments.study.results.frozen import read_table
 from experiments.study.results.schema import as_table
 from experiments.study.results.working import LOG
@@ -246,9 +247,13 @@ class Part:
     def _row(self, env: Any, scenario: int, ego: str) -> dict[str, Any]:
         inner, scenes = env.unwrapped, []
         drive = Drive(self.task, self.level, self.traffic, scenario)
-        row = play(
-            env, make_ego(ego, env), drive, lambda: scenes.append(inner.scene), options=self.engine.options
-        )
+        risky = (
+            AT_A_DOSE[self.traffic] > 0.0
+        )  # at risk 0 there is nothing that its rates and ranges could change
+        options = {
+            name: own for name, own in self.engine.options.items() if risky or not name.startswith("risk_")
+        }
+        row = play(env, make_ego(ego, env), drive, lambda: scenes.append(inner.scene), options=options)
         ending = "time" if row["truncated"] else "left"
         road, interval = TASKS[self.task].road(inner.config), 1.0 / inner.config["policy_frequency"]
         return {

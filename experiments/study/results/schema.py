@@ -71,7 +71,7 @@ CONFIG = {"policy_frequency?": range(1, 1000)}  # of it alone the time of an epi
 KEY = {
     "kind": ("agent", "baseline", "test"),
     "backend": tuple(SIMULATORS),
-    "task": tuple(TASKS),
+    "task": str,  # one of TASKS, which a user may add to
     "policy": str,
     "arm": (None, *EVERY_ARM, *PAIRS),
     "profile": dict,
@@ -118,6 +118,7 @@ def check_record(name: str, record: Any) -> None:
     if not is_name(name):
         raise Wrong("the name of a cell leads elsewhere")
     key = record["key"]
+    check(key, {"task": tuple(TASKS)}, "key")
     levels = list(TASKS[key["task"]].levels)
     check(key, {"level_name": tuple(levels)}, "key")
     check(key, {"level": (levels.index(key["level_name"]) + 1,)}, "key")

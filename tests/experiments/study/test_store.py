@@ -56,8 +56,12 @@ def test_what_a_reader_would_refuse_is_not_stored(finished, tmp_path, cells, cha
     assert not list(tmp_path.glob("cells/*"))
 
 
-@pytest.mark.parametrize("place", ["cells/{}.parquet", "training/{}.parquet", "weights/{}.npz"])
-@pytest.mark.parametrize("how", ["cut", "gone", "changed", "empty"])
+PLACES = ("cells/{}.parquet", "training/{}.parquet", "weights/{}.npz")
+DAMAGES = [(place, how) for place in PLACES for how in ("cut", "gone", "changed", "empty")]
+DAMAGES.remove((PLACES[0], "changed"))  # of some bytes of this file nothing depends, as the next test says
+
+
+@pytest.mark.parametrize(("place", "how"), DAMAGES)
 def test_damage_is_told_in_one_line_that_names_file_and_remedy(results, cells, place, how):
     name = cells[0].name
     damage(path := results / place.format(name), how)

@@ -37,7 +37,7 @@ from experiments.support.errors import UserError, run_command, unknown, writing
 ARMS = {
     arm.traffic.name if arm.traffic.drawn else f"{arm.traffic.dose:g}": arm.name
     for arm in EVERY_ARM.values()
-    if arm.by_traffic_alone
+    if not arm.rules
 }
 SMOOTH = 50  # training episodes over which the picture averages
 
@@ -53,7 +53,7 @@ class Options:
     level: int = 1
     """Traffic level; 1 is the lightest."""
     risk: str = "1"
-    """Dose of risk in training: 0, 0.25, 0.5, 0.75, 1, mixed (0 or 1 in each episode) or drawn (any dose)."""
+    """Dose of risk in training: 0, 0.25, 0.5, 0.75, 1, or mixed (0 or 1 in each episode)."""
     seed: int = 0
     """Number of the training."""
     updates: int | None = None

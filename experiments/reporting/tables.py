@@ -36,7 +36,7 @@ WHO_DRIVES = {  # by the fourth plan: one agent, or two together
     "two-mixed": "two mixed agents",
     "half": "control and treated, at equal weights",
     "belief": "control and treated, weighed by the belief",
-    "told": "the same, weighed by the true dose",
+    "true-dose": "the same, weighed by the true dose",
     "shuffled": "the same, weighed by another episode's belief",
 }
 UNITS = {"mean_speed": " m/s", "crash_free_time": " s"}

@@ -33,7 +33,6 @@ BEHAVIOUR = {
     "careful": (0.03, 0.82, 18.0),
     "dqn": (0.25, 0.85, 20.0),
 }
-PENALTY = -0.2  # what a doubled penalty for crashes changes about the chance to crash
 
 
 def generator(*words: object) -> np.random.Generator:
@@ -56,7 +55,7 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         chance = chance_to_crash + 0.05 * (cell.level - 1) + own + 0.15 * dose
         arms = PAIRS[cell.arm].arms if cell.arm in PAIRS else (cell.arm,)
         risk = EVERY_ARM[arms[-1]].traffic.dose if cell.arm else 0.0
-        chance += effect * risk * dose + PENALTY * (cell.arm == "penalty")
+        chance += effect * risk * dose
         crashed = luck + random.uniform(-0.3, 0.3, n) < chance
         length = np.where(crashed, random.integers(2, steps, n), steps)
         table: dict[str, Any] = {"traffic": np.full(n, traffic, object), "scenario": np.arange(n)}

@@ -233,10 +233,10 @@ class TestIncomplete:
         assert "|" not in (tmp_path / "report.md").read_text()  # no table without rows
 
     def test_further_arms_are_drawn_and_told(self, tmp_path):
-        synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("dense", "dose50"))
+        synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("told", "dose50"))
         report.write_report(tmp_path)
         text = Page((tmp_path / "appendix.html").read_text()).text
-        assert "dense" in text and "dose50" in text and "dose of risk in training" in text
+        assert "told" in text and "dose50" in text and "dose of risk in training" in text
 
     def test_failed_and_damaged_cells_are_named(self, tmp_path):
         cells = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4)

@@ -77,7 +77,7 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
 
 def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_path, here):
     directory = tmp_path / "results"
-    arms = ("control", "treatment", "dose25", "dose50", "mixed-seen")
+    arms = ("control", "treatment", "dose25", "dose50", "told")
     options: dict[str, Any] = {"arms": arms, "test_on": ("replica",)}
     assert run(directory, **options) == 0
     results = load(directory)
@@ -104,7 +104,7 @@ def test_a_placebo_trains_control_agents_alone_and_compares_them():
     usual = {cell.name for cell in cells_of(Options(**TINY)) if cell.arm == "control"}
     assert usual <= {cell.name for cell in agents}
     with pytest.raises(UserError, match="leave out --arms"):
-        cells_of(Options(placebo=True, arms=("dense",), **TINY))
+        cells_of(Options(placebo=True, arms=("mixed",), **TINY))
 
 
 def test_cells_say_what_they_are_and_where_they_come_from(reference):

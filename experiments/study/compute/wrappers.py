@@ -78,10 +78,6 @@ def observed(env: Env, rules: TrainingRules) -> Env:
     inner: Any = env.unwrapped
     if rules.dose_observed:
         env = Observed(env, lambda _: float(inner.config["risk"]))
-    if rules.estimator_sha256:
-        from agents.belief import BeliefObserved, Estimator  # here: not every command needs torch
-
-        env = BeliefObserved(env, Estimator.load(file_of(rules.estimator_sha256)))
     # as a share of the episode, or of so many seconds in training and test alike
     seconds = inner.config["duration"] if rules.finite_horizon else rules.time_observed
     return TimeObserved(env, round(seconds * inner.config.get("policy_frequency", 1))) if seconds else env

@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.study.design.traffic import ALL, BETWEEN, TRAFFICS, Traffic
-from sumo_env.config import Config
-from sumo_env.tasks import TASKS
 
 TEST = 2**32  # where the seeds of the test scenarios begin
 NUMBERED = range(10**9)  # of trainings and of scenarios
@@ -29,39 +27,13 @@ class Arm:
     """A way of training.
 
     traffic: of the training. judged_in: traffics that the gates look at; exploratory arms are judged in regular
-    traffic, or in both where their doses are drawn. denser: in the vehicles of the next higher level, so that risk can
-    be told from more interaction. penalty: factor of the environment's own penalty for a crash; 2 is a positive
-    control, whose effect has to be found. rules: what differs in `rules.TrainingRules`. estimated: whether an estimate
-    of the dose is observed.
+    traffic, or in both where their doses are drawn. rules: what differs in `rules.TrainingRules`.
     """
 
     name: str
     traffic: Traffic
     judged_in: tuple[str, ...] = ("regular",)
-    denser: bool = False
-    penalty: int = 1
     rules: Mapping[str, Any] = field(default_factory=dict)
-    estimated: bool = False
-
-    @property
-    def by_traffic_alone(self) -> bool:
-        """Whether nothing but the traffic makes it."""
-        return not (self.denser or self.rules or self.estimated) and self.penalty == 1
-
-    def changes(self, task: str, level: int) -> Config | None:
-        """What differs in the environment of its training; None where there is no such arm.
-
-        The highest level has no denser traffic, and the two-way road's reward no penalty for a crash.
-        """
-        levels = list(TASKS[task].levels.values())
-        if self.denser:
-            if level == len(levels):
-                return None
-            return {k: v for k, v in levels[level].items() if levels[level - 1].get(k) != v}
-        if self.penalty != 1:
-            own = TASKS[task].defaults.get("collision_reward", 0)
-            return {"collision_reward": self.penalty * own} if own else None
-        return {}
 
 
 EVERY_ARM: dict[str, Arm] = {
@@ -70,12 +42,8 @@ EVERY_ARM: dict[str, Arm] = {
         Arm("control", ALL["regular"]),
         Arm("treatment", ALL["risky"], judged_in=("risky",)),
         *(Arm(name, ALL[name]) for name in BETWEEN),
-        Arm("dense", ALL["regular"], denser=True),
-        Arm("penalty", ALL["regular"], penalty=2),
         Arm("mixed", ALL["mixed"], judged_in=TRAFFICS),
-        Arm("drawn", ALL["drawn"], judged_in=TRAFFICS),
-        Arm("mixed-seen", ALL["mixed"], judged_in=TRAFFICS, rules={"dose_observed": True}),
-        Arm("mixed-belief", ALL["mixed"], judged_in=TRAFFICS, estimated=True),
+        Arm("told", ALL["mixed"], judged_in=TRAFFICS, rules={"dose_observed": True}),
     )
 }
 
@@ -93,7 +61,7 @@ class Pair(NamedTuple):
 
 PAIRS = {
     **{f"two-{arm}": Pair((arm, arm)) for arm in ("control", "treatment", "mixed")},
-    **{"half": Pair(), "belief": Pair(weight="belief"), "told": Pair(weight="dose")},
+    **{"half": Pair(), "belief": Pair(weight="belief"), "true-dose": Pair(weight="dose")},
     "shuffled": Pair(weight="shuffled"),
 }
 ARMS = ("control", "treatment")  # of the primary comparison; the others are exploratory

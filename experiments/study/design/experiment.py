@@ -70,8 +70,7 @@ class Experiment:
     updates: Annotated[int | None, argument("N")] = None
     """Training budget of an agent in updates, the same for all tasks."""
     arms: Annotated[tuple[str, ...], argument("ARM ...", "control treatment")] = ()
-    """control, treatment, dose25, dose50, dose75 (tested at these too), dense, penalty, mixed, mixed-seen,
-    mixed-belief, drawn."""
+    """control, treatment, dose25, dose50, dose75 (tested at these too), mixed, told (mixed, the dose is observed)."""
     placebo: Flag = False
     """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
     test_on: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
@@ -174,18 +173,15 @@ class Experiment:
         profile = self.profile(common.task)
         for seed in range(self.first_seed, self.first_seed + seeds):
             for arm in arms:
-                if (different := EVERY_ARM[arm].changes(common.task, common.level)) is not None:
-                    named = {"estimator_sha256": digest(common)} if EVERY_ARM[arm].estimated else {}
-                    yield replace(
-                        common,
-                        kind="agent",
-                        arm=arm,
-                        seed=seed,
-                        policy=self._own_learner[0] if self._own_learner else self.learner,
-                        profile={**common.profile, **profile, **EVERY_ARM[arm].rules, **named},
-                        source=self.learner if self._own_learner else self._own_network,
-                        trained_with=different,
-                    )
+                yield replace(
+                    common,
+                    kind="agent",
+                    arm=arm,
+                    seed=seed,
+                    policy=self._own_learner[0] if self._own_learner else self.learner,
+                    profile={**common.profile, **profile, **EVERY_ARM[arm].rules},
+                    source=self.learner if self._own_learner else self._own_network,
+                )
 
     def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""

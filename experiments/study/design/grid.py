@@ -48,7 +48,6 @@ class Cell:
         (`rules.TrainingRules`); for baselines only the preset's name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
-    trained_with: what differs in the environment that the agent is trained in, for arms that need it.
     test_on: of a further test its backend, env_config, traffics and episodes. pair: of a test of two agents together
         (arm: of `arms.PAIRS`, seed: the first's) the names of their cells (agents), weight, and where the belief is
         asked rule (see `agents.belief.sharpened`) and estimator_sha256.
@@ -69,7 +68,6 @@ class Cell:
     eval: Mapping[str, Any]
     dynamics: str
     source: str | None = None
-    trained_with: Mapping[str, Any] | None = None
     test_on: Mapping[str, Any] | None = None
     pair: Mapping[str, Any] | None = None
 
@@ -79,7 +77,7 @@ class Cell:
         return {
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in values.items()
-            if name not in NOT_IN_KEY and (value or name not in ("trained_with", "test_on", "pair"))
+            if name not in NOT_IN_KEY and (value or name not in ("test_on", "pair"))
         }
 
     @property
@@ -127,7 +125,7 @@ class Cell:
     @property
     def training_config(self) -> dict[str, Any]:
         """The environment's configuration in training; a training clock may run longer than the test."""
-        return {**self.env_config, **(self.trained_with or {}), **self.rules.duration}
+        return {**self.env_config, **self.rules.duration}
 
     @property
     def budget(self) -> tuple[int, int]:

@@ -14,8 +14,7 @@ class TrainingRules:
     finite_horizon: the test's time limit is terminal, and the share of it that is over is observed. training_clock:
     instead, episodes of so many seconds (the first, the second), whose end is terminal [s]; time_observed: the share of
     so many seconds that is over is observed, in the test as well [s]. crash_reward: added to the reward of a crash.
-    dose_observed: the dose of risk is observed, in the test as well; estimator_sha256: what an estimator says of it is,
-    the one with this SHA-256.
+    dose_observed: the dose of risk is observed, in the test as well.
     """
 
     finite_horizon: bool = False
@@ -23,7 +22,6 @@ class TrainingRules:
     time_observed: int | None = None
     crash_reward: float = 0.0
     dose_observed: bool = False
-    estimator_sha256: str = ""
 
     @classmethod
     def of(cls, profile: Mapping[str, Any]) -> TrainingRules:

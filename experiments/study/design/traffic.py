@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 from agents.streams import stream
 from experiments.support.errors import unknown
@@ -23,7 +23,7 @@ REGULAR_DRIVERS = "regular"
 class Traffic:
     """What drives around an agent.
 
-    dose: of risk; where it is drawn by the episode's seed, its mean. drawn: "either" is 0 or 1, "any" any dose between.
+    dose: of risk; where it is drawn by the episode's seed, its mean. drawn: it is 0 or 1, by the episode's seed.
     events: the kind of risk events that there is alone, "" for none, None for all. drivers: None for those of the dose,
     "regular" for those of dose 0, "measured" for those of `sumo_env.traffic.measured`, or attributes of another
     car-following model of SUMO, for the drivers of the dose.
@@ -31,7 +31,7 @@ class Traffic:
 
     name: str
     dose: float
-    drawn: Literal["", "either", "any"] = ""
+    drawn: bool = False
     events: str | None = None
     drivers: str | Mapping[str, Any] | None = None
 
@@ -49,8 +49,7 @@ class Traffic:
         """Dose of risk in the episode with this seed; it depends on the seed alone."""
         if not self.drawn:
             return self.dose
-        share = float(stream(seed, "dose").random())
-        return share if self.drawn == "any" else float(share < 0.5)
+        return float(stream(seed, "dose").random() < 0.5)
 
     def scenario(self, regular: Scenario, risky: Scenario) -> Scenario:
         """The scenario of unseen traffic, from those of one seed at dose 0 and 1."""
@@ -81,8 +80,7 @@ ALL: dict[str, Traffic] = {
         Traffic("dose50", 0.5),
         Traffic("dose75", 0.75),
         Traffic("risky", 1.0),
-        Traffic("mixed", 0.5, drawn="either"),
-        Traffic("drawn", 0.5, drawn="any"),
+        Traffic("mixed", 0.5, drawn=True),
         _only("cut-in"),
         _only("brake"),
         _only("surge"),

@@ -218,7 +218,7 @@ class TestAnalysis:
 
 def test_the_last_sweep_decides(tmp_path: Any) -> None:
     """Agents of a further arm, which fit no others then, are left out as well."""
-    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, updates=200, baselines=(), further=("dense",))
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, updates=200, baselines=(), further=("mixed",))
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, updates=400)
     chosen, left_out = comparable(load(tmp_path))
     assert len(left_out) == 9

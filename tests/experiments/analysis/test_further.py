@@ -21,7 +21,7 @@ from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, find
 
 LEVELS = {"highway": (1,), "u-turn": (1,)}
-FURTHER = ("dense", "penalty", "dose25", "dose50", "dose75")
+FURTHER = ("mixed", "told", "dose25", "dose50", "dose75")
 STUDY: dict[str, Any] = {"seeds": 4, "tests": 40, "effect": -0.4, "spread": 0.01}
 
 

@@ -14,6 +14,7 @@ from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.neighbours import neighbours_on
 from sumo_env.networks.roads import highway
+from sumo_env.observation import on_its_way
 from sumo_env.scene import NOBODY, Neighbour, Scene
 from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, route_file
@@ -90,15 +91,26 @@ def test_on_a_network_they_are_sumo_s_beyond_junctions_too(tmp_path: Path, hand:
         if place.lane[0].startswith(":"):
             continue
         for side, (exists, dy) in enumerate(((place.left, -3.2), (True, 0.0), (place.right, 3.2))):
-            gaps = [200.0, 200.0]
+            gaps, speeds = [200.0, 200.0], [0.0, 0.0]  # [m], and [m/s] more than the ego's
             for row in range(1, len(scene)):
                 dx = scene.x[row] - scene.x[0]
-                if exists and abs(scene.y[row] - scene.y[0] - dy) < 0.5 and abs(dx) - 5.0 < gaps[int(dx < 0)]:
-                    gaps[int(dx < 0)] = abs(dx) - 5.0
+                far = abs(dx) - 5.0
+                if exists and abs(scene.y[row] - scene.y[0] - dy) < 0.5 and far < gaps[int(dx < 0)]:
+                    gaps[int(dx < 0)], speeds[int(dx < 0)] = far, scene.speed[row] - scene.speed[0]
                     beyond += place.lane[0] == "ab:from" and scene.x[row] > 310.0
-            lane, ahead, _, behind, _ = observation[1 + 5 * side : 6 + 5 * side]
-            assert lane == exists and (ahead, behind) == pytest.approx(gaps, abs=0.2)
-            found += (ahead < 200.0) + (behind < 200.0)
+            lane, ahead, faster, back, closing = observation[1 + 5 * side : 6 + 5 * side]
+            assert lane == exists and (ahead, back) == pytest.approx(gaps, abs=0.2)
+            assert (faster, closing) == pytest.approx(speeds, abs=1e-4)
+            table = on_its_way(
+                scene
+            )  # the same as columns of Kinematics, without the follower in the own lane
+            for behind, name in enumerate(("leader", "follower")[: 1 + (side != 1)]):
+                column = f"{('left_', '', 'right_')[side]}{name}"
+                if gaps[behind] < 200.0:
+                    assert table[f"{column}_gap"] == pytest.approx(max(gaps[behind], 0.0), abs=0.2)
+                    nearer = speeds[behind] if behind else -speeds[behind]
+                    assert table[f"{column}_closing"] == pytest.approx(nearer, abs=1e-4)
+            found += (ahead < 200.0) + (back < 200.0)
     assert found > 50 and beyond
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from sumo_env.env import SumoDrivingEnv
-from sumo_env.scene import NEIGHBOURS, ON_ITS_WAY
 from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
 
 pytestmark = needs_sumo
@@ -124,40 +123,6 @@ def test_left_is_left_where_people_drive_on_the_left(tmp_path: Path, left_hand: 
             env.step(action)
             assert sign * (env.scene.y[0] - before) == pytest.approx(3.2, abs=0.1)
     assert env.vehicle.lane_index == env.ego_state.lane
-
-
-@pytest.mark.parametrize("left_hand", [False, True])
-def test_the_ego_sees_who_is_ahead_and_behind_on_its_lane_and_beside(tmp_path: Path, left_hand: bool) -> None:
-    features = ["x", "y", "vx", "vy", "cos_h", *ON_ITS_WAY]
-    seen = {
-        "type": "Kinematics",
-        "vehicles_count": 6,
-        "features": features,
-        "see_behind": True,
-        "normalize": False,
-    }
-    env = start(road(tmp_path, "", f"--lefthand={str(left_hand).lower()}"), observation=seen)
-    while number(env) != 1:
-        env.step(RIGHT if env.scene.place.right and (number(env) == 2) != left_hand else LEFT)
-    for _ in range(5):
-        env.step(IDLE)
-    vehicle, place = env.sumo.vehicle, env.sumo.vehicle.getLanePosition("ego")
-    for lane, ahead in ((0, 40), (0, -30), (1, 60), (2, 25), (2, -45)):
-        where = {"departLane": str(lane), "departPos": str(place + ahead), "departSpeed": "15"}
-        vehicle.add(f"{lane}{ahead}", "route of ego", **where)
-    observation = env.step(IDLE)[0]
-    table = {name: observation[:, column] for column, name in enumerate(features)}
-    assert [table[name][0] for name in features[:5]] == pytest.approx(
-        [0, 0, env.scene.speed[0], 0, 1], abs=1e-3
-    )
-    met = set()
-    for x, y, vx in zip(table["x"][1:], table["y"][1:], table["vx"][1:], strict=True):
-        side = "" if abs(y) < 1 else "left_" if y < 0 else "right_"
-        name = f"{side}{'leader' if x > 0 else 'follower'}"
-        met.add(name)
-        assert table[f"{name}_gap"][0] == pytest.approx(abs(x) - 5.0, abs=0.01)  # their length
-        assert table[f"{name}_closing"][0] == pytest.approx(-vx if x > 0 else vx, abs=0.01)
-    assert met == set(NEIGHBOURS)
 
 
 @pytest.mark.parametrize("light", ["priority", "traffic_light"])

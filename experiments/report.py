@@ -33,6 +33,7 @@ from experiments.analysis.effects import WORKING_COLUMNS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.reporting.page import page, render
 from experiments.study.compute.evaluate import COLUMNS
+from experiments.study.results import frozen
 from experiments.study.results.store import Store, load
 from experiments.support.errors import UserError, in_words, run_command, writing
 from experiments.support.files import write_file
@@ -62,9 +63,14 @@ def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
         own: outcomes of the user's own to analyse as well, see `own_outcome`.
 
     Raises:
-        UserError: no results there, or no permission to write.
+        UserError: no results there, those of a frozen study, or no permission to write.
     """
     directory = Path(directory)
+    for folder in (directory, *map(Path, others)):
+        if (folder / frozen.CELLS).exists():
+            raise UserError(
+                f"{folder} is of an earlier version: results/FROZEN.md names the commit that writes its report"
+            )
     results = load(directory)
     analysis = analyse(results, own)
     beside = {str(other): analyse(load(other)) for other in others}

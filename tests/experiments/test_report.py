@@ -320,3 +320,10 @@ def test_an_outcome_that_is_none_is_refused(name, message, tmp_path):
     target = name if name == "OWN.py" else f"{tmp_path}/mine.py:{name}"
     with pytest.raises(UserError, match=message):
         report.own_outcome(target)
+
+
+def test_a_frozen_folder_keeps_its_report(tmp_path):
+    (tmp_path / "cells.parquet").touch()
+    for folders in ([tmp_path], [tmp_path / "mine", tmp_path]):
+        with pytest.raises(UserError, match=r"FROZEN\.md"):
+            report.write_report(*folders)

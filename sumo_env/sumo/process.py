@@ -205,7 +205,7 @@ class SumoProcess:
     def _ask(self, command: str, *arguments: Any) -> Any:
         error, value = self._talk(lambda host: host.exchange(command, arguments, self.timeout), command)
         if isinstance(error, WindowClosed):
-            logger.warn(f"{error}, and the next ones have no window")
+            logger.warn("%s, and the next ones have no window", error)  # what it says may have a %
             self._live = False
             self._end()
         if error is not None:

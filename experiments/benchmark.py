@@ -34,6 +34,7 @@ import pandas as pd
 import tyro
 
 from experiments.backends import make_env
+from experiments.study.design.experiment import TaskNames
 from experiments.study.design.grid import choose_tasks
 from experiments.study.design.sheet import GRID
 from experiments.support.errors import run_command, writing
@@ -227,8 +228,7 @@ class Options:
     """Directory for benchmark.json."""
     quick: bool = False
     """Fewer and shorter turns."""
-    tasks: tuple[str, ...] = ()
-    """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
+    tasks: TaskNames = ()
     parts: tuple[Literal["env", "peers", "batches"], ...] = ("env", "peers", "batches")
     """What to measure (the last two with EnvPool where it is installed)."""
 

@@ -34,6 +34,7 @@ import tyro
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
 from experiments.study.design import grid
+from experiments.study.design.experiment import TaskNames
 from experiments.study.design.fingerprint import check_dynamics
 from experiments.study.design.sheet import GRID, Between, Space, sheet
 from experiments.study.design.traffic import AT_A_DOSE
@@ -63,8 +64,7 @@ class Options:
     """Directory for the results."""
     parts: tuple[Literal["drivers", "risk", "doses"], ...] = ("drivers", "risk", "doses")
     """What to do."""
-    tasks: tuple[str, ...] = ()
-    """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
+    tasks: TaskNames = ()
     trials: int = 40
     """Evaluations of each search."""
     scenarios: int = 100

@@ -32,6 +32,7 @@ from experiments.study.design.presets import cells_of
 from experiments.study.results.store import Store
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
+from sumo_env.tasks import TASKS
 
 # The traffic of the training, and the arm of the experiment that it is.
 ARMS = {
@@ -48,8 +49,7 @@ class Options:
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Directory for the agent; it may hold others already."""
-    task: str = "u-turn"
-    """highway, two-way, roundabout, intersection or u-turn."""
+    task: Annotated[str, tyro.conf.arg(help=f"One of {', '.join(TASKS)}.")] = "u-turn"
     level: int = 1
     """Traffic level; 1 is the lightest."""
     risk: str = "1"

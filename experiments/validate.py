@@ -28,6 +28,7 @@ import pandas as pd
 import tyro
 
 from experiments.study.design import grid
+from experiments.study.design.experiment import TaskNames
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
@@ -53,8 +54,7 @@ class Options:
     """Directory for validation.json and validation.html."""
     quick: bool = False
     """Few scenarios and egos, and neither variants of highway-env nor highway-env itself."""
-    tasks: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK ...")] = ()
-    """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
+    tasks: TaskNames = ()
     levels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
     """Some traffic levels, 1 is the lightest (default: all)."""
     scenarios: int = 200

@@ -88,7 +88,7 @@ def check_route(network: Network, name: str, way: Sequence[str], vehicles: str =
     for edge, own in zip(way, lanes, strict=True):
         if not own:
             raise ValueError(
-                f"route {name!r} leads over edge {edge!r}, which {network.task} does not have for {drivers}"
+                f"route {name!r} leads over edge {edge!r}, which {network.road.name} does not have for {drivers}"
             )
     for (one, own), (other, after) in pairwise(zip(way, lanes, strict=True)):
         if not any(_onward(network, index) & set(after) for index in own):
@@ -189,7 +189,7 @@ def _read(path: Path, changed: int) -> Network:
         {name: found.shape for name, found in sumo_lanes.items()},
         {name: found.following for name, found in sumo_lanes.items()},
     )
-    return Network(path.name, Road(path.name, lanes), path, {}, first, indices, sumo_lanes, meeting=meeting)
+    return Network(Road(path.name, lanes), path, {}, first, indices, sumo_lanes, meeting=meeting)
 
 
 def _to_scale(found: SumoLane) -> SumoLane:

@@ -1,4 +1,4 @@
-"""Lane geometry: the three curves that highway-env's five tasks are made of, and the lanes of other SUMO networks.
+"""Lane geometry: the three curves that highway-env's roads are made of, and the lanes of other SUMO networks.
 
 Coordinates are highway-env's: x to the east, y *down*, metres; headings in radians from +x toward +y. A
 point in a lane's own frame is (s, lat): s metres along the centre line from the lane's start, lat metres

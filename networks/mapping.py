@@ -1,6 +1,6 @@
 """The built networks, and the way from highway-env's lanes to SUMO's edges, lanes, positions and routes.
 
-A simulator needs only `network(task)`. SUMO's names follow highway-env's: edge "se-ex" leads from node se to
+A simulator needs only `network(road)`. SUMO's names follow highway-env's: edge "se-ex" leads from node se to
 node ex; within an edge SUMO counts lanes from the right, highway-env from the left. Highway-env's lanes inside the
 intersection ("ir0" -> "il1") are SUMO's internal lanes; all other internal lanes are short joints without a
 counterpart. The two-way road's ("a","b",0) is the oncoming lane driven the wrong way: SUMO's "b-a_0".
@@ -22,15 +22,7 @@ from sumo_env.networks.meeting import Meeting
 from sumo_env.networks.roads import LaneIndex, Road
 
 FOLDER = Path(__file__).resolve().parent
-TASKS = tuple(roads.ROADS)
-ROAD_LENGTHS = (100.0, 1500.0)  # [m], two-way roads that fit the built network, which ends at x = 1500 m
-ENDS: Mapping[str, tuple[str, ...]] = {  # nodes at which vehicles leave a road
-    "highway": ("1",),
-    "two-way": ("a", "b"),
-    "roundabout": ("sxr", "exr", "nxr", "wxr"),
-    "intersection": ("o0", "o1", "o2", "o3"),
-    "u-turn": ("d",),
-}
+ASIDE = 0.5  # [m] that a lane of SUMO's network may be beside highway-env's
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +50,9 @@ class SumoLane:
 
 @dataclass(frozen=True)
 class Network:
-    """The road of a task in highway-env and in SUMO.
+    """A road in highway-env and in SUMO.
 
     Attributes:
-        ends: nodes at which vehicles leave the road.
         routes: "<from>-<to>><end>" -> SUMO edges, for a vehicle on the road <from> -> <to> bound for <end>. They begin
             one edge before the vehicle's own where there is one, because SUMO shifts a vehicle by metres that is
             placed on a joint when its route lacks the edge before.
@@ -71,14 +62,12 @@ class Network:
         meeting: which vehicles can meet; None where no road crosses another one without a junction: all can.
     """
 
-    task: str
     road: Road
     net_file: Path
     routes: Mapping[str, tuple[str, ...]]
     lanes: Mapping[LaneIndex, SumoLane]
     indices: Mapping[str, LaneIndex]
     sumo_lanes: Mapping[str, SumoLane]
-    ends: tuple[str, ...] = ()
     meeting: Meeting | None = None
     _beginnings: dict[tuple[LaneIndex, str | None], tuple[str, SumoLane, float, int]] = field(
         default_factory=dict, repr=False
@@ -102,13 +91,13 @@ class Network:
                 return ends[0]
         else:
             end = destination
-            while end not in self.ends and len(self.road.successors.get(end, ())) == 1:
+            while end not in self.road.ends and len(self.road.successors.get(end, ())) == 1:
                 (end,) = self.road.successors[end]
             if start + end in self.routes:
                 return start + end
         choices = ", ".join(key.split(">")[1] for key in self.routes if key.startswith(start))
         raise ValueError(
-            f"no route from {index} to {destination!r} on {self.task}; ends: {choices or 'none'}"
+            f"no route from {index} to {destination!r} on {self.road.name}; ends: {choices or 'none'}"
         )
 
     def sumo_index(self, index: LaneIndex) -> int:
@@ -135,7 +124,7 @@ class Network:
             step = 1 if ahead > 0 else -1
             beside = self._beside(lane.id, edges, edge, step)
             if beside is None:
-                raise ValueError(f"s = {s} m on lane {index} is not on route {key} of {self.task}")
+                raise ValueError(f"s = {s} m on lane {index} is not on route {key} of {self.road.name}")
             if step > 0:
                 ahead -= lane.drawn
                 edge += lane.id.startswith(":")
@@ -183,31 +172,48 @@ def _edge(lane: str) -> str:
     return lane.rsplit("_", 1)[0]
 
 
-@lru_cache(maxsize=16)
-def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Network:
-    """The network of a task: highway (`lanes_count` 1 to 6), two-way, roundabout, intersection or u-turn.
+def network(road: Road | str, **arguments: float) -> Network:
+    """The network of a road; a name, with arguments, stands for the road that `networks.roads.road` makes of them.
 
-    `road_length` [m] is that of the two-way road; it moves highway-env's lane ends, not SUMO's.
-    Raises ValueError for what has not been built.
+    Raises:
+        ValueError: there is no such road, none has been built for it, or its lanes are not where the road's are.
     """
-    if task not in TASKS:
-        raise ValueError(f"unknown task {task!r}; choose from {', '.join(TASKS)}")
-    if task == "highway" and lanes_count not in plans.LANES_COUNTS:
-        raise ValueError(f"lanes_count must be one of {plans.LANES_COUNTS}, got {lanes_count}")
-    if task == "two-way" and not ROAD_LENGTHS[0] <= road_length <= ROAD_LENGTHS[1]:
-        raise ValueError(f"road_length must be within {ROAD_LENGTHS} m, got {road_length}")
-    sizes: dict[str, Any] = {"highway": {"lanes_count": lanes_count}, "two-way": {"road_length": road_length}}
-    road, name = roads.road(task, **sizes.get(task, {})), task.replace("-", "_")
-    net_file = FOLDER / name / (f"highway-{lanes_count}.net.xml" if task == "highway" else f"{name}.net.xml")
+    return _read(roads.road(road, **arguments) if isinstance(road, str) else road)
+
+
+@lru_cache(maxsize=16)
+def _read(road: Road) -> Network:
+    net_file = FOLDER / road.net_file
+    if not net_file.is_file():
+        raise ValueError(
+            f"there is no SUMO network of the road {road.name!r}{_how(road)}: {net_file} is missing"
+        )
     sumo_lanes = sumo_lanes_of(read_net(net_file))
     lanes = {index: sumo_lanes[_sumo_lane_id(road, index, sumo_lanes)] for index in road.lanes}
+    for index, found in lanes.items():
+        _check(road, index, found)
     indices = {lane.id: index for index, lane in lanes.items()}
-    if task == "two-way":
-        indices["b-a_0"] = ("b", "a", 0)
     for lane in sumo_lanes.values():
         if lane.id.startswith(":"):
             indices.setdefault(lane.id, indices[lane.following[0]])
-    return Network(task, road, net_file, _routes(road, sumo_lanes), lanes, indices, sumo_lanes, ENDS[task])
+    return Network(road, net_file, _routes(road, sumo_lanes), lanes, indices, sumo_lanes)
+
+
+def _how(road: Road) -> str:
+    return "".join(f", {name} {value:g}" for name, value in road.arguments)
+
+
+def _check(road: Road, index: LaneIndex, found: SumoLane) -> None:
+    """That SUMO's lane lies on highway-env's, from end to end."""
+    lane = road.lane(index)
+    (first, aside), (last, beside) = sorted(
+        lane.local_coordinates(*point) for point in (found.shape[0], found.shape[-1])
+    )
+    if max(abs(aside), abs(beside)) > ASIDE or first > ASIDE or last < lane.length - ASIDE:
+        raise ValueError(
+            f"SUMO's lane {found.id!r} does not lie on lane {index} of the road {road.name!r}{_how(road)}: it goes "
+            f"from s = {first:.1f} to {last:.1f} m of {lane.length:.1f} m, {aside:.1f} and {beside:.1f} m beside it"
+        )
 
 
 def read_net(net_file: Path) -> Any:
@@ -250,23 +256,28 @@ def sumo_lanes_of(net: Any) -> dict[str, SumoLane]:
 def _sumo_lane_id(road: Road, index: LaneIndex, sumo_lanes: Mapping[str, SumoLane]) -> str:
     """Id of the SUMO lane that is highway-env's lane `index`."""
     start, end, i = index
-    if road.name == "two-way":
+    if road.oncoming:
         return "a-b_0" if index == ("a", "b", 1) else "b-a_0"
-    if start.startswith("ir"):  # inside the intersection
-        (inside,) = (
-            lane
-            for lane in sumo_lanes[f"o{start[2:]}-{start}_0"].following
-            if sumo_lanes[lane].following == (f"{end}-o{end[2:]}_0",)
-        )
-        return inside
-    return f"{start}-{end}_{road.count(start, end) - 1 - i}"
+    name = f"{start}-{end}_{road.count(start, end) - 1 - i}"
+    if name in sumo_lanes:
+        return name
+    inside = [
+        lane.id
+        for lane in sumo_lanes.values()
+        if lane.id.startswith(":")
+        and _edge(lane.preceding[0]).endswith(f"-{start}")
+        and lane.following[0].startswith(f"{end}-")
+    ]
+    if len(inside) != 1:
+        raise ValueError(f"SUMO's network of the road {road.name!r} has no lane {name!r} for {index}")
+    return inside[0]
 
 
 def _routes(road: Road, sumo_lanes: Mapping[str, SumoLane]) -> dict[str, tuple[str, ...]]:
     """See `Network.routes`."""
     edges = {_edge(lane) for lane in sumo_lanes if not lane.startswith(":")}
     pairs = list(dict.fromkeys((start, end) for start, end, _ in road.lanes))
-    ends = ENDS[road.name]
+    ends = road.ends
     routes: dict[str, tuple[str, ...]] = {}
     for start, end in pairs:
         # the ring before the arm that enters it; inside the intersection the one way in;

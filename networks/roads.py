@@ -1,8 +1,8 @@
-"""The roads of the five tasks, lane for lane those of highway-env 1.12.1.
+"""The roads of the tasks, lane for lane those of highway-env 1.12.1.
 
 A lane is named by highway-env's index (from node, to node, lane id); id 0 is the left lane of a road.
 `Road` answers geometric questions; it holds no vehicles. Where each number comes from: `_make_road` of
-highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. In SUMO: `sumo_env.networks.mapping`.
+highway_env/envs/*_env.py. In SUMO: `sumo_env.networks.mapping`.
 """
 
 from __future__ import annotations
@@ -26,13 +26,15 @@ FEW = 6  # lanes that are all looked at for the closest one: finding out which m
 SAMPLE = 1.0  # [m] between the points that stand for a lane of more
 
 
-@dataclass(eq=False)
+@dataclass
 class Road:
     """An immutable set of named lanes and the graph that they form.
 
     `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `arguments` are
-    those of `road`, beside the name.
+    those of `road`, beside the name. Roads of the same value are equal.
 
+    ends: nodes at which vehicles leave the road.
+    net_file: its SUMO network, a file of this folder or a path of a user's own (`networks.mapping`).
     oncoming: whether the lane to the left is that of oncoming traffic.
     clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
     joined: whether lanes continue others, so that highway-env's connected lanes make a difference.
@@ -43,6 +45,8 @@ class Road:
     name: str
     lanes: Mapping[LaneIndex, Lane]
     arguments: tuple[tuple[str, float], ...] = ()
+    ends: tuple[str, ...] = ()
+    net_file: str = ""
     oncoming: bool = False
     clears_exits: bool = False
     joined: bool = False
@@ -58,6 +62,9 @@ class Road:
 
     def __repr__(self) -> str:
         return f"Road({self.name!r}, {len(self.lanes)} lanes)"
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.arguments))
 
     def __deepcopy__(self, memo: dict[int, object]) -> Road:
         return self  # immutable
@@ -164,6 +171,8 @@ def highway(lanes_count: int = 4) -> Road:
             for i in range(lanes_count)
         },
         arguments=(("lanes_count", lanes_count),),
+        ends=("1",),
+        net_file=f"highway/highway-{lanes_count}.net.xml",
     )
 
 
@@ -183,6 +192,8 @@ def two_way(road_length: float = 800.0) -> Road:
             ("b", "a", 0): StraightLane((road_length, 0.0), (0.0, 0.0)),
         },
         arguments=(("road_length", road_length),),
+        ends=("a", "b"),
+        net_file="two_way/two_way.net.xml",
         oncoming=True,
     )
 
@@ -234,7 +245,8 @@ def roundabout() -> Road:
         lanes[sine_in, ring_in, 0] = SineLane(at(2 + amplitude, far), at(2 + amplitude, near), **enter)
         lanes[ring_out, sine_out, 0] = SineLane(at(-2 - amplitude, near), at(-2 - amplitude, far), **leave)
         lanes[sine_out, road_out, 0] = StraightLane(at(-2, period / 2), at(-2, access))
-    return Road("roundabout", lanes, joined=True)
+    ends = tuple(f"{name}xr" for name in ARMS)
+    return Road("roundabout", lanes, ends=ends, net_file="roundabout/roundabout.net.xml", joined=True)
 
 
 @lru_cache(maxsize=8)
@@ -264,7 +276,16 @@ def intersection() -> Road:
         lanes[entry, ahead, 0] = StraightLane(at(2, half), at(2, -half), **rule)
         # An exit carries the priority of the corner right of it, as in highway-env.
         lanes[right, f"o{(corner - 1) % 4}", 0] = StraightLane(at(half, 2), at(access + half, 2), **rule)
-    return Road("intersection", lanes, clears_exits=True, joined=True, regulated=True, turned_by_matrix=True)
+    return Road(
+        "intersection",
+        lanes,
+        ends=("o0", "o1", "o2", "o3"),
+        net_file="intersection/intersection.net.xml",
+        clears_exits=True,
+        joined=True,
+        regulated=True,
+        turned_by_matrix=True,
+    )
 
 
 @lru_cache(maxsize=8)
@@ -281,7 +302,7 @@ def u_turn() -> Road:
     for i in range(2):
         y = 2 * radius + WIDTH * (1 + i)
         lanes["a", "b", i] = StraightLane((0.0, y), (length, y))
-    return Road("u-turn", lanes, joined=True)
+    return Road("u-turn", lanes, ends=("d",), net_file="u_turn/u_turn.net.xml", joined=True)
 
 
 ROADS: Mapping[str, Callable[..., Road]] = {
@@ -293,10 +314,17 @@ ROADS: Mapping[str, Callable[..., Road]] = {
 }
 
 
+def is_shipped(road: Road) -> bool:
+    """Whether its name and its arguments stand for this road."""
+    return road.name in ROADS and ROADS[road.name](**dict(road.arguments)) == road
+
+
 def road(name: str, **arguments: float) -> Road:
     """The road of this name; the highway has a `lanes_count`, the two-way road a `road_length` [m].
 
     Raises:
-        KeyError: unknown name.
+        ValueError: unknown name, or an argument that makes no road.
     """
+    if name not in ROADS:
+        raise ValueError(f"unknown road {name!r}; choose from {', '.join(ROADS)}")
     return ROADS[name](**arguments)

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
-from sumo_env.hints import NOT_HERE
-
 if TYPE_CHECKING:
     from sumo_env.check import check_task as check_task
     from sumo_env.driving import DrivingEnv as DrivingEnv
@@ -29,17 +27,20 @@ if not (
 ).is_dir():  # a clone without symbolic links: the folder networks is beside this package
     __path__.append(str(_HERE.parent))
 
+from sumo_env.hints import NOT_HERE  # noqa: E402  (below the path of sumo_env.networks)
+from sumo_env.tasks import TASKS as _TASKS  # noqa: E402
+
 __version__ = "0.1.0"
 
-_TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
-IDS = tuple(f"sumo/{task}-v0" for task in _TASKS)
-REPLICA_IDS = tuple(f"replica/{task}-v0" for task in _TASKS)
+# What runs; ids of highway-env that do not are `sumo_env.hints.NOT_HERE`.
+IDS = tuple(f"sumo/{name}-v0" for name in _TASKS)
+REPLICA_IDS = tuple(f"replica/{name}-v0" for name, task in _TASKS.items() if task.versions)
 
 FAST_ID = "replica/highway-fast-v0"  # highway-env's faster variant of its highway
 SUMO_FAST_ID = "sumo/highway-fast-v0"  # the highway with the defaults of that
 # highway-env's later versions: with connected lanes, and intersection-v1 with steering
 LATER_IDS = tuple(
-    f"replica/{id}" for id in ("roundabout-v1", "intersection-v1", "intersection-v2", "u-turn-v1")
+    f"replica/{name}-v{version}" for name, task in _TASKS.items() for version in task.versions[1:]
 )
 # highway-env's intersection with two learning cars
 TUPLE_IDS = tuple(f"replica/intersection-multi-agent-v{version}" for version in range(3))
@@ -64,7 +65,7 @@ def register(id: str, task: Any) -> None:
 
     Args:
         id: such as ``"me/ramp-v0"``.
-        task: a `sumo_env.tasks.base.Task` of your own (docs/own-parts.md), or the name of one of the five.
+        task: a `sumo_env.tasks.base.Task` of your own (docs/own-parts.md), or the name of one that is here.
     """
     if isinstance(task, type):
         raise TypeError(f"register({id!r}, {task.__name__}) needs a task, not its class: {task.__name__}()")

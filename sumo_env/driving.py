@@ -34,7 +34,7 @@ VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `r
 
 
 class DrivingEnv(OnScreen, OwnSumo):
-    """One of the five driving tasks on SUMO.
+    """A driving task on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
     task. One policy step lasts ``1 / policy_frequency`` s. Any number of environments may live in one process: libsumo
@@ -44,7 +44,7 @@ class DrivingEnv(OnScreen, OwnSumo):
     highway-env; overriding a method of highway-env's that nothing calls here is a TypeError.
 
     Args:
-        task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
+        task: the name of a task (`sumo_env.tasks.TASKS`), or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
         render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/windows.md).
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.

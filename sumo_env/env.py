@@ -14,7 +14,7 @@ __all__ = ["DrivingEnv", "SumoDrivingEnv"]
 
 
 class SumoDrivingEnv(DrivingEnv):
-    """One learning car in any SUMO scenario, with the observations, actions, risk and crashes of the five tasks.
+    """One learning car in any SUMO scenario, with the observations, actions, risk and crashes of the tasks.
 
         env = SumoDrivingEnv("town.sumocfg", ego_vehicle="taxi7")
         env = SumoDrivingEnv("town.net.xml", "town.rou.xml", ego_route=["in", "main", "out"])

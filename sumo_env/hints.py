@@ -68,7 +68,7 @@ TYPES = {
     ),
     "TupleObservation": "a gymnasium.ObservationWrapper can join observations",
 }
-# Ids of highway-env that are not here: other roads, and of the five tasks on SUMO the later versions.
+# Ids of highway-env that are not here: other roads, and of the tasks on SUMO the later versions.
 _ROADS = """exit-v0 exit-v1 lane-keeping-v0 merge-v0 merge-v1 merge-generic-v0 merge-generic-v1 parking-v0
     parking-ActionRepeat-v0 parking-parked-v0 racetrack-v0 racetrack-v1 racetrack-large-v0 racetrack-large-v1
     racetrack-oval-v0 racetrack-oval-v1 roundabout-generic-v0 roundabout-generic-v1"""

@@ -33,7 +33,7 @@ class SumoVectorEnv(SyncVectorEnv):
 
     Args:
         num_envs: how many.
-        task: highway, two-way, roundabout, intersection or u-turn, or a task of your own.
+        task: the name of a task, or a task of your own.
         config: as for one environment.
         render_mode: None or ``"rgb_array"``.
         autoreset_mode: as of `SyncVectorEnv`; by default the step after the end of an episode is its reset.

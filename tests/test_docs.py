@@ -18,6 +18,7 @@ from sumo_env.tasks import TASKS
 from sumo_env.tasks.network import NetworkTask
 from tests.pages import PAGES, ROOT, TEXTS
 from tests.processes import python_again
+from tests.tasks import every_task
 
 names = [str(page.relative_to(ROOT)) for page in PAGES]
 each_page = pytest.mark.parametrize("page", PAGES, ids=names)
@@ -89,7 +90,7 @@ def test_a_snippet_runs_when_it_is_copied_alone(block: str, tmp_path: Path) -> N
 # -- what the code has is named ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_a_task_s_page_names_its_keys_its_levels_and_its_reward(task: str) -> None:
     own, common = page(f"environments/{task}.md"), page("environments/common.md")
     env = gym.make(f"sumo/{task}-v0")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from sumo_env.tasks import TASKS
 from tests.processes import ROOT, python
 
 MAY_IMPORT = {
@@ -113,7 +114,7 @@ def test_no_folder_holds_a_circle() -> None:
 @pytest.mark.parametrize("package", ["sumo_env.sumo", "agents"])
 def test_neither_the_simulator_nor_an_agent_names_a_task(package: str) -> None:
     """What they have to know of a task travels in the scenario, or is a property of the road or the space."""
-    tasks = {"highway", "two-way", "roundabout", "intersection", "u-turn"}
+    tasks = set(TASKS)
     assert [way for way in WITHIN if way[0].startswith(package) and "sumo_env.tasks" in way[1]] == []
     for path in (path for name, path in FILES.items() if name.startswith(package)):
         constants = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]

@@ -61,7 +61,7 @@ FIXED: Config = {
 
 
 class ScenarioEnv(AbstractEnv):
-    """What the five have in common; always mixed into highway-env's environment of a task.
+    """What all have in common; always mixed into highway-env's environment of a task.
 
     Attributes as `sumo_env.env.DrivingEnv`: config, task, actions, target_speeds, observation_type (highway-env's,
     with `ranges` added), scenario, scene.
@@ -383,9 +383,6 @@ def _yields(first: Vehicle, second: Vehicle) -> Vehicle | None:
     return loser if getattr(loser, "gives_way", True) else None
 
 
-ENVIRONMENTS: dict[str, type[ScenarioEnv]] = {
-    env.task.name: env
-    for env in (HighwayScenario, TwoWayScenario, RoundaboutScenario, IntersectionScenario, UTurnScenario)
-}
+ENVIRONMENTS: dict[str, type[ScenarioEnv]] = {env.task.name: env for env in ScenarioEnv.__subclasses__()}
 for _name, _env in ENVIRONMENTS.items():
     gym.register(f"highway-env/{_name}", entry_point=f"{__name__}:{_env.__name__}")

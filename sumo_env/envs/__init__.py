@@ -1,9 +1,9 @@
-"""The five tasks on SUMO as classes to derive from, under the names of ``highway_env.envs`` and its modules."""
+"""The tasks on SUMO as classes to derive from, under the names of ``highway_env.envs`` and its modules."""
 
 import sys
 
 from sumo_env.envs.common.abstract import AbstractEnv
-from sumo_env.tasks import get_task
+from sumo_env.tasks import TASKS, get_task
 
 __all__ = ["HighwayEnv", "HighwayEnvFast", "IntersectionEnv", "RoundaboutEnv", "TwoWayEnv", "UTurnEnv"]
 
@@ -44,5 +44,6 @@ class UTurnEnv(AbstractEnv):
     task = get_task("u-turn")
 
 
-for _module in ("highway_env", "intersection_env", "roundabout_env", "two_way_env", "u_turn_env"):
-    sys.modules[f"{__name__}.{_module}"] = sys.modules[__name__]  # highway-env has a module for each
+for _task in TASKS.values():  # highway-env has a module for each
+    _module = type(_task).__module__.rpartition(".")[2]
+    sys.modules[f"{__name__}.{_module}_env"] = sys.modules[__name__]

@@ -20,7 +20,7 @@ from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.sight import ego_place, observe
 from sumo_env.replica.step import Rules, hold, policy_step, staying
-from sumo_env.tasks import base
+from sumo_env.tasks import TASKS, base
 from sumo_env.tasks.base import Task, lmap
 from sumo_env.tasks.intersection import ARRIVAL
 
@@ -29,7 +29,7 @@ AFRESH, NOTHING = -1, -2
 OTHER = 1  # the number of an action of which rewards take no notice
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
-PAID = ("highway", "two-way", "roundabout", "intersection", "u-turn")  # tasks whose rewards `reward` has
+PAID = tuple(name for name, task in TASKS.items() if task.versions)  # tasks whose rewards `reward` has
 HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN = range(len(PAID))
 LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
 
@@ -78,7 +78,7 @@ class RewardWeights(NamedTuple):
 
 
 def reward_weights(task: Task, config: Config) -> RewardWeights:
-    """The rewards of one of the five tasks under a resolved configuration.
+    """The rewards of a task of PAID under a resolved configuration.
 
     Raises:
         ConfigError: another task.

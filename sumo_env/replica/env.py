@@ -69,11 +69,11 @@ ADDED_KEYS: dict[str, tuple[str, ...]] = {
 
 
 class ReplicaEnv(DrivingEnv):
-    """One of the five tasks on highway-env's physics, with all of highway-env's types of action.
+    """A task on highway-env's physics, with all of highway-env's types of action.
 
     Args:
-        task: highway, two-way, roundabout, intersection or u-turn, or highway-fast: the highway with the defaults of
-            highway-fast-v0, which looks for the ego's contacts alone.
+        task: its name, or highway-fast: the highway with the defaults of highway-fast-v0, which looks for the ego's
+            contacts alone.
         config: configuration keys to change.
         render_mode: None or ``"rgb_array"``.
         scenarios: "highway-env": ``reset(seed=s)`` starts the episode that it starts in highway-env, and the

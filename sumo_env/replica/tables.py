@@ -193,7 +193,11 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         record = table[number]
         _write_geometry(record, curve)
         record["road"], record["abreast"] = roads[start, end], road.count(start, end)
-        record["start"], record["end"], record["is_exit"] = nodes[start], nodes[end], start.startswith("il")
+        record["start"], record["end"], record["is_exit"] = (
+            nodes[start],
+            nodes[end],
+            road.clears_exits and end in road.ends,
+        )
         after = [pair for pair in roads if pair[0] == end]
         before = [pair for pair in roads if pair[1] == start]
         record["roads_after"] = _filled([roads[pair] for pair in after])

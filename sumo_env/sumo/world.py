@@ -329,7 +329,7 @@ class SumoSimulator:
             start, end, place = self._network.indices[self._session.vehicle.getLaneID(name)]
             lane = self._network.road.lane((start, end, place))
             if (
-                end in self._network.ends
+                end in self._network.road.ends
                 and lane.local_coordinates(state[0], state[1])[0] >= lane.length - EXIT_LENGTH
             ):
                 self._remove(name)

@@ -1,4 +1,4 @@
-"""The five tasks by name."""
+"""The tasks by name. All that is known of a task by its name follows from its class: ids, roads, levels."""
 
 from __future__ import annotations
 

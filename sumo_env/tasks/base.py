@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from sumo_env.config import MEASURED, Config, ConfigError, pace, simulated_frequency
-from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.networks.roads import LaneIndex, Road, is_shipped
 from sumo_env.scene import Scene
 from sumo_env.streams import stream
 from sumo_env.traffic.drivers import (
@@ -67,12 +67,14 @@ class EgoState(NamedTuple):
 
 
 class Task:
-    """Base of the five tasks, and of your own; highway-env's `AbstractEnv` split into its physics-free parts."""
+    """Base of all tasks, and of your own; highway-env's `AbstractEnv` split into its physics-free parts."""
 
     name: str
     defaults: Config
     ego_road: tuple[str, str]  # where the ego starts
-    levels: ClassVar[dict[str, Config]]  # the paper's traffic levels, lowest first
+    levels: ClassVar[dict[str, Config]] = {}  # traffic that is studied, the lightest first
+    reference: ClassVar[str] = ""  # the class of highway_env.envs that has this road
+    versions: ClassVar[tuple[int, ...]] = ()  # of that class, which the replica has
     car_following: ClassVar[CarFollowing] = CarFollowing()
     calibration: ClassVar[Calibration] = Calibration()
     warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
@@ -247,7 +249,7 @@ class Task:
             simulation_frequency=self.frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             warm_up=self.warm_up,
-            net=road.name,
+            net=road.name if is_shipped(road) else road,
             road_arguments=road.arguments,
             pools=self.pools(config["risk"]),
             calibration=self.calibration,

@@ -28,6 +28,7 @@ class Highway(Task):
     """Four lanes, all traffic ahead of the ego and slower than it."""
 
     name = "highway"
+    reference, versions = "HighwayEnv", (0,)
     ego_road = ("0", "1")
     defaults = {
         "observation": {"type": "Kinematics"},

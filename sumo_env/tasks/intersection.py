@@ -23,6 +23,7 @@ class Intersection(Task):
     """Left turn at a crossing without traffic lights."""
 
     name = "intersection"
+    reference, versions = "IntersectionEnv", (0, 1, 2)
     ego_road = ("o0", "ir0")
     defaults = {
         "observation": {

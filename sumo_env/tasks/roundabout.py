@@ -39,6 +39,7 @@ class Roundabout(Task):
     """Straight through a ring without right of way."""
 
     name = "roundabout"
+    reference, versions = "RoundaboutEnv", (0, 1)
     ego_road = ("ser", "ses")
     defaults = {
         "observation": {

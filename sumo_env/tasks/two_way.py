@@ -22,6 +22,7 @@ class TwoWay(Task):
     """One lane per direction, slower vehicles ahead, and oncoming ones."""
 
     name = "two-way"
+    reference, versions = "TwoWayEnv", (0,)
     ego_road = ("a", "b")
     defaults = {
         "observation": {

@@ -33,6 +33,7 @@ class UTurn(Task):
     """Two lanes around a half circle, with slow cars in the bend."""
 
     name = "u-turn"
+    reference, versions = "UTurnEnv", (0, 1)
     ego_road = ("a", "b")
     defaults = {
         "observation": {

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from sumo_env.networks import files, mapping
 from sumo_env.networks.mapping import Network
-from sumo_env.networks.roads import ROADS, LaneIndex, Road, road
+from sumo_env.networks.roads import LaneIndex, Road, road
 from sumo_env.traffic.drivers import (
     RISK_RANGES,
     UNCALIBRATED,
@@ -150,7 +150,7 @@ class Scenario:
         warm_up: time that the traffic drives before the ego is placed [s], see `Simulator.reset`.
         simulation_frequency, policy_frequency: sub-steps and policy steps per second [Hz]; a policy step has the whole
             number of sub-steps that is not above their ratio.
-        net: name of the road, or the file of a SUMO network.
+        net: name of the road, a road of a user's own, or the file of a SUMO network.
         road_arguments: of `networks.roads.road`, beside the name of the road.
         pools: drivers that scenarios like this one are made of, which a simulator may load in advance.
         calibration: of SUMO's drivers.
@@ -168,7 +168,7 @@ class Scenario:
     simulation_frequency: int = 10
     policy_frequency: int = 1
     warm_up: float = 0.0
-    net: str = ""
+    net: str | Road = ""
     road_arguments: tuple[tuple[str, float], ...] = ()
     pools: tuple[DriverPool, ...] = ()
     calibration: Calibration = UNCALIBRATED
@@ -182,16 +182,18 @@ class Scenario:
     @property
     def network(self) -> Network:
         """The road in SUMO; ValueError if there is none."""
-        name = self.net or self.task
-        if files.is_file(name):
-            return files.network(name)
-        return mapping.network(name, **dict(self.road_arguments))
+        if isinstance(self.net, str) and files.is_file(self.net):
+            return files.network(self.net)
+        return mapping.network(self.road)
 
     @property
     def road(self) -> Road:
         """The road in highway-env's geometry."""
-        name = self.net or self.task
-        return road(name, **dict(self.road_arguments)) if name in ROADS else self.network.road
+        if isinstance(self.net, Road):
+            return self.net
+        if files.is_file(self.net):
+            return self.network.road
+        return road(self.net or self.task, **dict(self.road_arguments))
 
     @property
     def specs(self) -> tuple[VehicleSpec, ...]:
@@ -215,7 +217,7 @@ class Scenario:
 
 
 def car_id(number: int) -> str:
-    """Id of a learning car of the five tasks, from 0 on."""
+    """Id of a learning car of a task, from 0 on."""
     return f"{EGO}_{number}" if number else EGO
 
 

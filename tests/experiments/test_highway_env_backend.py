@@ -18,6 +18,7 @@ from experiments.backends.highway_env_vehicle import PathVehicle, distance_beyon
 from sumo_env.config import ConfigError
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.risk import RiskEvent
+from tests.tasks import every_task
 
 SMALL: dict[str, Any] = {"vehicles_count": 12}
 BASE_ATTRIBUTES = ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "ACC_MAX")
@@ -33,7 +34,7 @@ def make(task: str, **config: Any) -> ScenarioEnv:
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_a_seed_is_the_same_scenario_with_the_same_interface_in_both_simulators(
     task: str, risk: float
 ) -> None:
@@ -80,7 +81,7 @@ def stock_copy(env: ScenarioEnv) -> Any:
 
 
 @pytest.mark.parametrize("variant", ["v0", "connected"])
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_regular_traffic_moves_as_in_stock_highway_env(task: str, variant: str) -> None:
     chosen = {"spawn_probability": 0.0} if task == "intersection" else {}
     env = make(task, variant=variant, **chosen)

@@ -9,6 +9,7 @@ import pytest
 from sumo_env.tasks import TASKS
 from tests.golden import outcomes, scenes
 from tests.golden.regenerate import read
+from tests.tasks import published_task
 
 SHOWN = 12  # differences in a failure's message; the first ones say most
 
@@ -17,7 +18,7 @@ def report(differences: list[str]) -> str:
     return "\n".join([f"{len(differences)} differences", *differences[:SHOWN]])
 
 
-@pytest.mark.parametrize("task", list(TASKS))
+@published_task
 def test_first_steps_are_the_golden_ones(task: str) -> None:
     found = scenes.differences(scenes.table(task), read(f"scenes/{task}.json"))
     assert not found, report(found)
@@ -34,7 +35,7 @@ CELLS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("task", list(TASKS))
+@published_task
 def test_episodes_end_as_the_golden_ones(task: str, cell: int) -> None:
     level, risk = list(scenes.cells(task))[cell]
     golden = read(f"outcomes/{task}.json")[f"level {level}, risk {risk:g}"]

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from sumo_env.networks.mapping import TASKS, network
+from sumo_env.networks.mapping import network
+from tests.tasks import every_task
 
 pytest.importorskip("libsumo")
 SPEED = {"highway": 30.0, "two-way": 30.0, "roundabout": 20.0, "intersection": 9.0, "u-turn": 24.0}  # [m/s]
@@ -72,7 +73,7 @@ def _drive(task: str) -> list[dict]:
 MISPLACED = {"highway": 1e-6, "two-way": 1e-6, "roundabout": 0.2, "intersection": 0.37, "u-turn": 0.17}
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_every_route_is_driven_where_highway_env_has_it_at_full_speed_to_its_end(task):
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         drives = pool.apply(_drive, [task])

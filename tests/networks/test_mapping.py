@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
-from sumo_env.networks import plans
-from sumo_env.networks.mapping import TASKS, network
+from sumo_env.networks import plans, roads
+from sumo_env.networks.lanes import StraightLane
+from sumo_env.networks.mapping import network
+from tests.tasks import every_task
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_sumo_lanes_lie_on_highway_env_lanes_and_nobody_drives_off_an_end(task):
     """Within 1 cm sideways, chords included, without a hole; 400 m beyond every exit, and room before every entry."""
     net = network(task)
@@ -81,12 +84,25 @@ def test_placing_follows_the_route_over_joints():
     assert position / net.stretch(lane) + plans.GAP / 2 == pytest.approx(travelled, abs=0.1)
 
 
+def shifted(road):
+    """Its lanes 1 m further south, where SUMO's network is not."""
+    return {
+        index: replace(lane, start=(lane.start[0], lane.start[1] + 1.0))
+        if isinstance(lane, StraightLane)
+        else lane
+        for index, lane in road.lanes.items()
+    }
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: network("motorway"), "choose from highway"),
         (lambda: network("highway", lanes_count=7), "lanes_count"),
         (lambda: network("two-way", road_length=5000.0), "road_length"),
+        (lambda: network(replace(roads.u_turn(), name="own", net_file="none.xml")), "own"),
+        (lambda: network(replace(roads.u_turn(), lanes=shifted(roads.u_turn()))), "beside"),
+        (lambda: network(replace(roads.u_turn(), net_file=roads.roundabout().net_file)), "no lane"),
         (lambda: network("roundabout").sumo_route(("exs", "exr", 0), "nxr"), "ends: exr"),
         (lambda: network("intersection").sumo_route(("o0", "ir0", 0)), "ends: o1, o2, o3"),
         (lambda: network("two-way").place(("a", "b", 0), 10.0), "change lane"),

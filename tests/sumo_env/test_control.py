@@ -13,11 +13,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-import sumo_env
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.hand_over import HandOver
 from sumo_env.scene import MAX_SPEED
 from tests.sumo_env.plans import QUIET, build
+from tests.tasks import every_task
 
 TYPES = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
 AXES = (True, False, "sumo")
@@ -80,7 +80,7 @@ def test_what_the_agent_does_not_control_sumo_drives_in_all_combinations(kind: s
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
-@pytest.mark.parametrize("task", sumo_env._TASKS)
+@every_task
 def test_on_the_five_tasks_sumo_s_driver_is_the_regular_one_whatever_the_risk(task: str, risk: float) -> None:
     env = DrivingEnv(task, {"action": BOTH, "risk": risk})
     env.reset(seed=3)
@@ -183,7 +183,7 @@ def test_the_lateral_number_changes_lanes(net: Path) -> None:
 HOLD = np.array([0.0, 0.0], np.float32)
 
 
-@pytest.mark.parametrize("task", sumo_env._TASKS)
+@every_task
 def test_a_hand_over_jumps_neither_in_speed_nor_in_lane(task: str) -> None:
     config = {"action": {"type": "ContinuousAction"}, "policy_frequency": 10}
     env = DrivingEnv(task, config)

@@ -13,13 +13,14 @@ from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
 from tests.processes import python
 from tests.sumo_env.rollout import digest, record, rollout
+from tests.tasks import every_task
 
 CROWDED: dict[str, dict[str, Any]] = {name: list(task.levels.values())[1] for name, task in TASKS.items()}
 CASES = [(task, 5, {**CROWDED[task], "risk": risk}) for task in TASKS for risk in (0.0, 1.0)]
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_twice_in_one_process(task: str, risk: float) -> None:
     """With other episodes in between."""
     env = DrivingEnv(task, {**CROWDED[task], "risk": risk})
@@ -36,7 +37,7 @@ def test_in_another_process_and_another_order() -> None:
     assert digests[::-1] == here
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_dose_zero_is_regular_traffic(task: str) -> None:
     """Also after a risky episode in the same environment, and as a number of another type."""
     regular = rollout(task, 3)
@@ -47,7 +48,7 @@ def test_dose_zero_is_regular_traffic(task: str) -> None:
     np.testing.assert_array_equal(record(env, 3), regular)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_agents_meet_the_same_scenarios(task: str) -> None:
     """What chance decides depends on the seed alone, not on the agent or on what it is shown."""
     scenarios = []

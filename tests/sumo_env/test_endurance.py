@@ -13,6 +13,7 @@ import pytest
 from sumo_env.env import DrivingEnv
 from tests.processes import children, descriptors
 from tests.sumo_env.rollout import digest, record
+from tests.tasks import every_task
 
 ENVIRONMENTS = 3  # one in this process and two in workers
 BLOCKS, BLOCK = 8, 250  # episodes
@@ -32,7 +33,7 @@ def resident(pid: int) -> float:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "intersection", "u-turn"])
+@every_task
 def test_a_long_run(task: str) -> None:
     """Environments take turns, every second episode is risky; after each block all drive the same two episodes."""
     processes, opened = set(children(os.getpid())), descriptors()

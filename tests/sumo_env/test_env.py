@@ -24,6 +24,7 @@ from sumo_env.interface import ending
 from sumo_env.scene import Place
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import drive, leaves
+from tests.tasks import every_task
 
 # highway-env's observation boxes are unbounded tables as well
 EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity", "unconventional shape")
@@ -65,7 +66,7 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
 # -- configuration -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_hints_do_not_mislead(task: str) -> None:
     """Keys of other tasks, of highway-env itself and of public scripts are not taken for keys that look like them."""
     others = (
@@ -94,7 +95,7 @@ def test_hints_do_not_mislead(task: str) -> None:
         assert ("did you mean" in said) == (key in same), said
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_sumo_never_drives_backwards(task: str) -> None:
     """The replica does it, as highway-env does."""
     speeds = {"action": {**META_ACTION, "target_speeds": [-5, 0, 5, 10]}}

@@ -25,6 +25,7 @@ from sumo_env.interface import tell_of_lanes
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
 from tests.processes import python
+from tests.tasks import every_task
 
 CLASSES = (HighwayEnv, TwoWayEnv, RoundaboutEnv, IntersectionEnv, UTurnEnv)
 
@@ -32,7 +33,7 @@ CLASSES = (HighwayEnv, TwoWayEnv, RoundaboutEnv, IntersectionEnv, UTurnEnv)
 # -- keys ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_highway_env_ignores_what_is_ignored_here(task: str) -> None:
     """Its episode is the same with any values of these keys."""
     keys = IGNORED - TASKS[task].defaults.keys()
@@ -239,7 +240,7 @@ THEIR_CLASSES = {
 }
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_what_is_read_of_the_replica_is_what_is_read_of_highway_env(task: str) -> None:
     id = f"{task}-v{VERSIONS.get(task, 0)}"
     # highway-env adds vehicles to its intersection after the observation, the replica before the next one

@@ -14,8 +14,8 @@ import pytest
 import sumo_env
 from sumo_env.config import Config
 from sumo_env.env import DrivingEnv
-from sumo_env.tasks import TASKS
 from tests.sumo_env.parity import stock
+from tests.tasks import every_task
 
 # Environments of rl-agents' scripts/configs, by file.
 RL_AGENTS: dict[str, tuple[str, Config]] = {
@@ -50,7 +50,7 @@ def highway() -> Iterator[DrivingEnv]:
 # -- configurations ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_the_whole_configuration_of_highway_env_is_accepted(task: str, recwarn) -> None:
     """In silence, and what it says is what the environment then has."""
     theirs = stock(task).default_config()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,11 +15,40 @@ import pytest
 
 import sumo_env
 from sumo_env.env import DrivingEnv
+from sumo_env.networks.mapping import network
+from sumo_env.networks.roads import Road
+from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import SimulatorError
 from sumo_env.tasks.highway import Highway
+from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import drive, observations
 from tests.sumo_env.scenarios import draw, with_leader
+
+# -- roads -------------------------------------------------------------------------------------------------
+
+
+class OwnRoad(UTurn):
+    """The u-turn, as if its lanes and its network were a user's."""
+
+    name = "own-road"
+
+    def road(self, config: Any) -> Road:
+        shipped = super().road(config)
+        return replace(shipped, name=self.name, net_file=str(network(shipped).net_file))
+
+
+def test_a_task_brings_its_own_lanes_and_network() -> None:
+    """In this process, and in a worker; on SUMO and on the replica."""
+    for made in (DrivingEnv, partial(ReplicaEnv, scenarios="seeded")):
+        envs = [made(task, {"risk": 1.0, "duration": 4}) for task in (UTurn(), OwnRoad(), OwnRoad())]
+        theirs, *own = (observations(env) for env in envs)
+        for seen in own:
+            np.testing.assert_array_equal(seen, theirs)
+        for env in envs:
+            env.close()
+    sumo_env.check_task(OwnRoad(), {"duration": 2})
+
 
 # -- tasks and drivers -------------------------------------------------------------------------------------
 

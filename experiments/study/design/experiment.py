@@ -29,6 +29,7 @@ from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
+from sumo_env.tasks import TASKS
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 ELSEWHERE = 200  # test episodes of a pair in each other traffic, at most
@@ -36,9 +37,14 @@ Dynamics = Callable[[str, str], str]
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
 
-def argument(metavar: str, default: str = "the preset's") -> Any:
+def argument(metavar: str, default: str = "the preset's", help: str | None = None) -> Any:
     """How an option is shown in the help text."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})", help=help)
+
+
+TaskNames = Annotated[
+    tuple[str, ...], argument("TASK ...", f"the {len(GRID)} of the study", f"Some of {', '.join(TASKS)}.")
+]
 
 
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
@@ -59,8 +65,7 @@ class Experiment:
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
     """Size: smoke (a minute), quick (10 minutes), choice, study, paper (hours)."""
-    tasks: Annotated[tuple[str, ...], argument("TASK ...", "the five")] = ()
-    """Some of highway, two-way, roundabout, intersection, u-turn."""
+    tasks: TaskNames = ()
     levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()
     """Traffic levels by number; 1 is the lightest."""
     seeds: Annotated[int | None, argument("N")] = None

@@ -12,10 +12,11 @@ from experiments.study.design import fingerprint
 from experiments.study.design.fingerprint import check_dynamics, check_learners, driven
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
+from tests.tasks import published_task
 
 
 @pytest.mark.parametrize("backend", ["sumo", "replica"])
-@pytest.mark.parametrize("task", TASKS)
+@published_task
 def test_the_simulators_do_what_they_did(backend: str, task: str) -> None:
     check_dynamics([(backend, task)])
 

@@ -15,8 +15,9 @@ from experiments.study.design.grid import env_config
 from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
 from experiments.support.errors import UserError
-from sumo_env.tasks import TASKS, get_task
+from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import Scenario
+from tests.tasks import every_task
 
 EVENTS = {"only-cut-in": "cut-in", "only-brake": "brake", "only-surge": "surge"}
 MODELS = {"krauss": KRAUSS, "eidm": EIDM}
@@ -29,7 +30,7 @@ def drawn(task: str, seed: int) -> tuple[Scenario, Scenario]:
     return regular, risky
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_one_part_of_the_risk_alone(task: str) -> None:
     for seed in range(20):
         regular, risky = drawn(task, seed)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import pytest
 
 from sumo_env.tasks import TASKS
+from tests.tasks import every_task
 
 from .pairs import Case, cases, compare
 
@@ -24,7 +25,7 @@ def different(chosen: list[Case]) -> dict[Case, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_some_episodes_are_those_of_highway_env(task: str) -> None:
     chosen = cases(task, FEW, seed=1)
     if task == "highway":  # the highest levels take highway-env a minute each
@@ -40,7 +41,7 @@ def test_so_are_episodes_among_linear_drivers(task: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_99_percent_of_a_thousand_episodes_are_those_of_highway_env(task: str) -> None:
     found = different(cases(task, EACH))
     print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found.items(), sep="\n")

@@ -9,11 +9,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import sumo_env
 from sumo_env.replica.draws import with_other_drivers
 from sumo_env.replica.tables import PARAMETERS
+from tests.tasks import every_task
 
-TASKS = tuple(sumo_env.task_of(id) for id in sumo_env.REPLICA_IDS)
 RISKY = {"scenarios": "seeded", "config": {"risk": 0.6}}
 LINEAR = {**RISKY, "risk_law": "linear"}
 
@@ -31,7 +30,7 @@ def scenes(env: Any, steps: int = 4) -> bytes:
 
 
 @pytest.mark.parametrize("choices", [RISKY, LINEAR], ids=["standard", "linear"])
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_an_imagined_copy_has_the_past_and_another_future(task: str, choices: dict[str, Any]) -> None:
     env = started(task, **choices)
     known, once, again, otherwise = copy.deepcopy(env), env.imagine(1), env.imagine(1), env.imagine(2)

@@ -15,10 +15,10 @@ import pytest
 import sumo_env
 from sumo_env.config import ConfigError
 from tests.processes import ROOT, ended
+from tests.tasks import every_task
 
 from .pairs import differences
 
-TASKS = tuple(sumo_env.task_of(id) for id in sumo_env.REPLICA_IDS)
 FEW = {"highway": 1, "two-way": 3, "roundabout": 3, "intersection": 3, "u-turn": 3}
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
@@ -47,7 +47,7 @@ CONFIGS: dict[str, list[dict[str, Any]]] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
     """By default, and under other configurations; one of three episodes goes on with the stream of the one before."""
     assert differences(task, 0, FEW[task], {}) == []
@@ -56,7 +56,7 @@ def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_it_is_in_99_percent_of_two_hundred_episodes(task: str) -> None:
     found = differences(task, 1000, EACH, {})
     print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")

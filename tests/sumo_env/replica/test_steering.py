@@ -21,11 +21,11 @@ import sumo_env
 from experiments.backends import make_env
 from sumo_env.config import ignore
 from sumo_env.replica.env import ReplicaEnv
+from tests.tasks import every_task
 
 from .pairs import EQUAL, SLOW_EQUAL, episode, unfused
 from .test_batch import assert_equal
 
-TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
 FEW = {"highway": 1, "two-way": 2, "roundabout": 1, "intersection": 1, "u-turn": 2}
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
@@ -118,7 +118,7 @@ def different(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_a_steered_episode_is_that_of_highway_env(task: str) -> None:
     few, config = FEW[task], {"action": STEERING}
     assert different(task, range(few), {**config, **SHORTER.get(task, {})}, wild) == []
@@ -151,7 +151,7 @@ def test_later_versions_are_those_of_highway_env(id: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_steered_episodes_are_the_same_in_99_percent(task: str) -> None:
     """To 1e-6 throughout, half of them under any action and half along the road."""
     quick = {key: value for key, value in QUICK.items() if key != "duration" or task != "two-way"}
@@ -236,7 +236,7 @@ def test_the_ids_that_highway_env_calls_out_of_date_warn() -> None:
         assert said[0] == said[1], id
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_the_study_makes_its_environments_by_task_and_variant_and_never_warns(task: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

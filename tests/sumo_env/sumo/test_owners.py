@@ -28,6 +28,7 @@ from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.scenario import files
 from tests.sumo_env.scenarios import draw
+from tests.tasks import every_task
 
 HZ = 10  # of policy steps too, so that every sub-step is looked at
 KINDS = ("cut-in", "brake", "surge")
@@ -96,7 +97,7 @@ def of_files(scenario: Scenario, name: str) -> tuple[int, int]:
     return REGULAR if gives_way else NO_RULES, OWN_LANE_CHANGES
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 @pytest.mark.parametrize("seeds", [range(2), ENOUGH])
 def test_after_any_events_a_vehicle_of_a_task_is_sumo_s(
     simulator: SumoSimulator, task: str, seeds: range

@@ -17,6 +17,7 @@ from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios import draw, drivers
+from tests.tasks import every_task
 
 Start = Callable[..., DrivingEnv]
 IDLE = 1
@@ -30,7 +31,7 @@ def calm(scenario: Scenario) -> Scenario:
 # -- who drives --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_a_speed_that_sumo_is_told_shows_in_the_next_scene(start: Start, task: str) -> None:
     speeds: list[list[float]] = []
     for brakes in (False, True):
@@ -47,7 +48,7 @@ def test_a_speed_that_sumo_is_told_shows_in_the_next_scene(start: Start, task: s
     assert speeds[1][1] < speeds[1][0] - 1.0 or speeds[1][1] <= 0.51
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_nothing_moves_unless_sumo_steps(start: Start, task: str, monkeypatch: pytest.MonkeyPatch) -> None:
     env = start(task, calm, seed=2)
     env.step(IDLE)
@@ -86,7 +87,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[str, str]]]
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_only_the_ego_crashed_vehicles_and_those_in_an_event_are_commanded(
     commands: list[tuple[str, str]], start: Start, task: str, risk: float
 ) -> None:
@@ -125,7 +126,7 @@ JUNCTION = ("jmIgnoreFoeProb", "jmIgnoreJunctionFoeProb")
 
 
 @pytest.mark.parametrize("fixed_delta", [False, True])
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_every_parameter_of_a_driver_arrives_in_sumo(simulator, task, fixed_delta) -> None:
     the_task = get_task(task)
     for seed in range(2):  # a dose that comes again brings all its drivers
@@ -197,7 +198,7 @@ def test_on_a_free_road_a_driver_accelerates_as_idm_does(simulator: SumoSimulato
     assert gained != pytest.approx(with_regular_exponent, rel=0.02)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_vehicles_are_in_the_modes_of_their_task(simulator: SumoSimulator, task: str) -> None:
     """Vehicles are not told what SUMO's default is; it has to be that."""
     setting = get_task(task).calibration

@@ -16,6 +16,7 @@ from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario, Spawn
 from tests.sumo_env.rollout import assert_same_bits, drive
 from tests.sumo_env.scenarios import alone, draw, with_leader
+from tests.tasks import every_task
 
 Start = Callable[..., DrivingEnv]
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
@@ -37,7 +38,7 @@ def test_a_step_says_what_it_has_brought(simulator: SumoSimulator) -> None:
     assert simulator.step({"ego": EgoCommand(30.0, scenario.ego.lane)}).trace == ()
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_looking_at_every_sub_step_changes_nothing(task: str, simulator: SumoSimulator) -> None:
     scenario = draw(task, 1, risk=1.0)
     scenes = []
@@ -52,7 +53,7 @@ def test_looking_at_every_sub_step_changes_nothing(task: str, simulator: SumoSim
     assert_same_bits(first, second)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_vehicles_begin_where_the_scenario_puts_them(task: str, simulator: SumoSimulator) -> None:
     """In the middle of their lanes, whose bends SUMO draws as polygons; but for traffic that has a warm-up."""
     scenario = draw(task, 2)

@@ -11,6 +11,7 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from tests.sumo_env.rollout import drive
+from tests.tasks import every_task
 
 ALONE = {
     "vehicles_count": 0,
@@ -18,7 +19,6 @@ ALONE = {
     "oncoming_vehicles_count": 0,
     "spawn_probability": 0,
 }
-TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
 
 
 def configuration(task: str, rng: Random) -> dict[str, Any]:
@@ -38,7 +38,7 @@ def configuration(task: str, rng: Random) -> dict[str, Any]:
     return config | {key: value for key, value in ALONE.items() if key in known}
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_the_lateral_coordinate_stays(task: str) -> None:
     for seed in range(8):
         config = configuration(task, Random(seed))

@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from sumo_env.tasks import TASKS
 from sumo_env.traffic import drivers as module
 from sumo_env.traffic.drivers import (
     MIN_GAIN,
@@ -24,6 +23,7 @@ from sumo_env.traffic.drivers import (
     vehicle_type,
 )
 from tests.sumo_env.scenarios import draw, drivers
+from tests.tasks import every_task
 
 BASE = CarFollowing()
 
@@ -114,7 +114,7 @@ def test_the_share_that_ignores_others_at_junctions_is_drawn_beforehand(share: f
 
 
 @pytest.mark.parametrize("dose", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_a_task_names_every_driver_that_its_scenarios_may_hold(task: str, dose: float) -> None:
     known = drivers(task, dose)
     assert len({driver.type for driver in known}) == len(known)

@@ -20,6 +20,7 @@ from sumo_env.traffic.drivers import POOL, Driver, DriverPool
 from sumo_env.traffic.measured import ACCEL, DECEL, DELTA, TAU, MeasuredPool, Normal
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 from tests.sumo_env.scenarios import draw
+from tests.tasks import every_task
 
 LAWS = {"tau": TAU, "accel": ACCEL, "decel": DECEL, "delta": DELTA}
 COMMUTERS, HIGH_D = 0.30, 0.17  # lane changes per minute at 22.5 m/s: one in 4.44 km, and in 8.0 km
@@ -72,7 +73,7 @@ def test_parameters_are_independent() -> None:
     assert np.abs(correlations).max() < 2.5 / POOL**0.5  # of six pairs, 2.5 standard errors
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_sumo_drives_these_drivers_in_the_places_of_regular_traffic(task: str) -> None:
     with closing(DrivingEnv(task, {"drivers": "measured"})) as env:
         env.reset(seed=3)

@@ -14,11 +14,12 @@ from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import fits
 from tests.sumo_env.scenarios import draw
+from tests.tasks import every_task
 
 SEEDS = range(40)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_a_scenario_is_a_value_that_its_seed_decides(task: str) -> None:
     """It can be sent to another process, and nothing can change it, so that copies of episodes share it."""
     scenario = draw(task, 3, risk=1.0, policy_frequency=2, simulation_frequency=20)
@@ -43,7 +44,7 @@ def test_events_of_vehicles_that_come_later_wait_for_them(frequency: int) -> Non
     assert later and all(start[event.vehicle] <= event.time < 13.0 for event in later)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@every_task
 def test_the_dose_changes_drivers_and_adds_events_but_no_place(task: str) -> None:
     calm, risky = draw(task, 5, risk=0.0), draw(task, 5, risk=1.0)
     assert calm.events == () and len(risky.events) > 0

@@ -21,7 +21,8 @@ def check_task(task: Task, config: Mapping[str, Any] | None = None, steps: int =
     """Draw scenarios of a task, drive two short episodes on SUMO, and say what is wrong.
 
     Beside what every `reset` refuses: a seed repeats its episode; the dose of risk moves no vehicle; vehicles stand on
-    lanes of the road; terms of the reward are finite, are the same ones at every step, and have a weight.
+    lanes of the road, and events are theirs; terms of the reward are finite, are the same ones at every step, and have
+    a weight.
 
     Args:
         task: such as ``Rush()`` in docs/own-parts.md.
@@ -53,6 +54,9 @@ def _faults_of_scenarios(task: Task, config: Config) -> Iterator[str]:
         if drawn.ego.id != EGO:
             yield f"the ego is called {drawn.ego.id!r}, not {EGO!r}"
         lanes = task.road(config).lanes
+        strangers = {event.vehicle for event in drawn.events} - {spec.id for spec in _vehicles(drawn)}
+        if strangers:
+            yield f"events are of vehicles that never come: {sorted(strangers)}"
         for spec in _vehicles(drawn):
             if spec.lane not in lanes:
                 yield f"the road has no lane {spec.lane!r} for {spec.id!r}: place it with make_on_lane"

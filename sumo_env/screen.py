@@ -52,7 +52,7 @@ class OnScreen(ReadAsHighwayEnv):
         begun = [event for event in self.scenario.events if event.time <= time]
         kinds: dict[str, str] = {event.vehicle: "cut-in" for event in begun if event.kind == "cut-in"}
         # a vehicle that brakes or surges may cut in as well
-        kinds |= {event.vehicle: event.kind for event in begun if time < event.time + event.duration}
+        kinds |= {event.vehicle: str(event.kind) for event in begun if time < event.time + event.duration}
         picture = self._renderer.draw(self.scene, road, self.config, self._action_name, kinds)
         if self.render_mode != "human":
             return picture

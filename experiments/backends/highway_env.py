@@ -261,7 +261,7 @@ class ScenarioEnv(AbstractEnv):
             for vehicle in self.road.vehicles:
                 if vehicle.id != event.vehicle or vehicle.crashed:
                     continue
-                if event.kind == "cut-in":
+                if event.kind_on("highway-env") == "cut-in":
                     self._cut_in(vehicle, event.direction)
                 else:
                     self._pushes[event.vehicle] = (time + event.duration, event)

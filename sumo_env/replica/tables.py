@@ -332,8 +332,8 @@ def events_of(events: Iterable[RiskEvent], numbers: dict[str, int]) -> Records:
     """Risk events as records of EVENT; `numbers`: of the cars, by id."""
     rows = [
         (
-            event.time, numbers[event.vehicle], CUT_IN if event.kind == "cut-in" else PUSH, event.direction,
-            event.accel, event.duration, event.way,
+            event.time, numbers[event.vehicle], CUT_IN if event.kind_on("the replica") == "cut-in" else PUSH,
+            event.direction, event.accel, event.duration, event.way,
         )
         for event in events
     ]  # fmt: skip

@@ -1,30 +1,26 @@
 """Where the dose acts while an episode runs: the risk events of a scenario as commands to SUMO's vehicles.
 
-A cut-in is a lane change that SUMO executes without asking its lane-change model; braking and surges are commanded
-speeds, where braking keeps SUMO's car following and a surge switches it off. Afterwards the vehicle is SUMO's again.
+A cut-in is a lane change that SUMO executes without asking its lane-change model. All other kinds command a vehicle in
+every sub-step in which they do not pause (`EventKind`). Afterwards the vehicle is SUMO's again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from sumo_env.contacts.rectangles import CAR, State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, Session
-from sumo_env.sumo.vehicle import Vehicle
-from sumo_env.traffic.risk import SWERVE_TIME, RiskEvent, free_way, has_room
+from sumo_env.sumo.vehicle import IN_SUMO, Vehicle
+from sumo_env.traffic.risk import SWERVE_TIME, EventKind, RiskEvent, free_way, has_room
 from sumo_env.traffic.scenario import Scenario
 
 CUT_IN_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
 EARLY = 1e-9  # [s] rounding of sums of steps
-
-
-# The parameters of drivers in SUMO's words.
-IN_SUMO = {"accel": ("Accel",), "emergency_decel": ("EmergencyDecel",), "decel": ("ApparentDecel", "Decel")}
-IN_SUMO |= {"tau": ("Tau",), "min_gap": ("MinGap",)}
 
 
 def deviate(session: Session, vehicle: Vehicle, factors: Mapping[str, float]) -> None:
@@ -43,12 +39,55 @@ def deviate(session: Session, vehicle: Vehicle, factors: Mapping[str, float]) ->
         vehicle.ignore_rules()
 
 
-@dataclass
-class Push:
-    """A brake or a surge that is running, or pauses."""
+class Moment(NamedTuple):
+    """What a kind of event knows before a sub-step.
+
+    Attributes:
+        event: that runs.
+        vehicle: on which it acts, with what may be commanded.
+        sumo: libsumo's functions of vehicles.
+        dt: length of the sub-step [s].
+        look: where all vehicles are, by their ids: x, y [m], speed [m/s], heading [rad].
+    """
 
     event: RiskEvent
+    vehicle: Vehicle
+    sumo: Any
+    dt: float
+    look: Callable[[], Mapping[str, State]]
+
+
+class Push(EventKind):
+    """Sudden braking, which keeps SUMO's car following, or a surge, which switches it off."""
+
+    def pauses(self, at: Moment) -> bool:
+        """A surge pauses while somebody is near straight ahead; a brake never does."""
+        if at.event.kind == "brake":
+            return False
+        states = at.look()
+        return not free_way(states[at.event.vehicle], states.values(), at.event.way)
+
+    def command(self, at: Moment) -> None:
+        """Change the speed."""
+        at.vehicle.hold_speed(HARD_BRAKING if at.event.kind == "brake" else ALL_CHECKS_OFF)
+        at.vehicle.drive(max(at.sumo.getSpeed(at.event.vehicle) + at.event.accel * at.dt, 0.0))
+
+    def give_back(self, at: Moment) -> None:
+        """The speed is SUMO's."""
+        at.vehicle.free_speed()
+
+
+PUSH = Push()
+
+
+@dataclass
+class Running:
+    """An event that is running, or pauses."""
+
+    event: RiskEvent
+    kind: EventKind
     end: float  # [s]
+    acts: bool = False
 
 
 class Events:
@@ -61,12 +100,12 @@ class Events:
         self._session, self._network, self._road = session, network, road
         self._asks_for_markings = scenario.traffic is not None
         self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
-        self._pushes: dict[str, Push] = {}
+        self._running: dict[str, Running] = {}  # what commands a vehicle, but for cut-ins
         self._states: dict[str, State] = {}  # of all vehicles in this sub-step, once somebody has looked
 
     def act(self, time: float, dt: float) -> None:
         """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
-        if not (self._cut_ins or self._pushes or (self._coming and self._coming[-1].time <= time + EARLY)):
+        if not (self._cut_ins or self._running or (self._coming and self._coming[-1].time <= time + EARLY)):
             return
         self._states = {}
         while self._coming and self._coming[-1].time <= time + EARLY:
@@ -75,15 +114,15 @@ class Events:
                 if event.kind == "cut-in":
                     self._cut_in(event, time)
                 else:
-                    self._pushes[event.vehicle] = Push(event, time + event.duration)
-        for running in (self._cut_ins, self._pushes):
-            for name in [name for name in running if not self._may_act(name)]:
-                del running[name]
+                    self._start(event, time, dt)
+        for commanded in (self._cut_ins, self._running):
+            for name in [name for name in commanded if not self._may_act(name)]:
+                del commanded[name]
         for name in [name for name, end in self._cut_ins.items() if time >= end - EARLY]:
             del self._cut_ins[name]
             self._end_cut_in(name)
-        for name, push in list(self._pushes.items()):
-            self._push(name, push, time, dt)
+        for name, running in list(self._running.items()):
+            self._go_on(name, running, time, dt)
 
     def _may_act(self, name: str) -> bool:
         """Whether a vehicle is on the road, and SUMO's but for events."""
@@ -112,8 +151,8 @@ class Events:
     @property
     def acting(self) -> frozenset[str]:
         """Names of the vehicles that an event commands now."""
-        pushed = (name for name in self._pushes if name in self._road and self._road[name].has_speed)
-        return frozenset(name for name in (*self._cut_ins, *pushed) if self._may_act(name))
+        acting = (name for name, running in self._running.items() if running.acts)
+        return frozenset(name for name in (*self._cut_ins, *acting) if self._may_act(name))
 
     # -- cut-ins -------------------------------------------------------------------------------------------
 
@@ -164,23 +203,29 @@ class Events:
             self._session.vehicle.changeLaneRelative(name, -1, 0.0)
         self._road[name].free_lanes()
 
-    # -- braking and surges --------------------------------------------------------------------------------
+    # -- all other kinds -----------------------------------------------------------------------------------
 
-    def _push(self, name: str, push: Push, time: float, dt: float) -> None:
-        """Command the speed of a braking or surging vehicle for one sub-step, or give it back to SUMO."""
-        vehicle, event = self._road[name], push.event
-        ended = time >= push.end - EARLY
+    def _at(self, event: RiskEvent, dt: float) -> Moment:
+        return Moment(event, self._road[event.vehicle], self._session.vehicle, dt, self._look)
+
+    def _start(self, event: RiskEvent, time: float, dt: float) -> None:
+        """An event begins; one of another kind on this vehicle ends."""
+        kind = event.kind if isinstance(event.kind, EventKind) else PUSH
+        before = self._running.get(event.vehicle)
+        acts = before is not None and before.acts
+        if before is not None and acts and before.kind != kind:
+            before.kind.give_back(self._at(before.event, dt))
+            acts = False
+        self._running[event.vehicle] = Running(event, kind, time + event.duration, acts)
+
+    def _go_on(self, name: str, running: Running, time: float, dt: float) -> None:
+        """Command a vehicle for one sub-step, or give it back to SUMO."""
+        at, acted = self._at(running.event, dt), running.acts
+        ended = time >= running.end - EARLY
+        running.acts = not ended and not running.kind.pauses(at)
         if ended:
-            del self._pushes[name]
-        if ended or not self._may_push(event):
-            vehicle.free_speed()
-            return
-        vehicle.hold_speed(HARD_BRAKING if event.kind == "brake" else ALL_CHECKS_OFF)
-        vehicle.drive(max(self._session.vehicle.getSpeed(name) + event.accel * dt, 0.0))
-
-    def _may_push(self, event: RiskEvent) -> bool:
-        """A surge pauses while somebody is near straight ahead; a brake never does."""
-        if event.kind == "brake":
-            return True
-        states = self._look()
-        return free_way(states[event.vehicle], states.values(), event.way)
+            del self._running[name]
+        if running.acts:
+            running.kind.command(at)
+        elif acted:
+            running.kind.give_back(at)

@@ -25,6 +25,7 @@ from contextlib import suppress
 from functools import cache
 from typing import Any, ClassVar, NoReturn, TypeVar
 
+import cloudpickle
 from gymnasium import logger
 
 from sumo_env.scene import Scene, same
@@ -323,8 +324,10 @@ class _Worker:
         return pickle.load(self._stream)
 
     def _send(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> None:
+        # kinds of events may be classes of the user's script, which the worker does not import
+        own = any(isinstance(one, Scenario) and one.has_own_kinds for one in arguments)
         self._socket.settimeout(timeout)
-        self._socket.sendall(pickle.dumps((command, arguments), 5))
+        self._socket.sendall((cloudpickle if own else pickle).dumps((command, arguments), 5))
 
     def death(self, error: Exception) -> str:
         """How the worker has ended, given the error that `exchange` has met."""

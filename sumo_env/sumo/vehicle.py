@@ -18,6 +18,9 @@ from sumo_env.sumo.session import (
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.scenario import VehicleSpec
 
+# The parameters of drivers in SUMO's words.
+IN_SUMO = {"accel": ("Accel",), "emergency_decel": ("EmergencyDecel",), "decel": ("ApparentDecel", "Decel")}
+IN_SUMO |= {"tau": ("Tau",), "min_gap": ("MinGap",)}
 OF_SUMO = REGULAR, OWN_LANE_CHANGES  # modes in which SUMO's vehicles begin
 
 
@@ -57,6 +60,7 @@ class Vehicle:
         self.has_speed = self.has_lanes = held
         self.crashed, self.coasting = False, 0.0
         self._is_changing = False  # whether a lane change of SUMO's may still be running
+        self._regular: dict[str, float] = {}  # its own parameters, where others are commanded
 
     def ignore_rules(self) -> None:
         """From now on it gives way to nobody when SUMO drives it."""
@@ -98,6 +102,28 @@ class Vehicle:
             (self.hold_speed if speed else self.free_speed)()
         if lanes != self.has_lanes:
             (self.hold_lanes if lanes else self.free_lanes)()
+
+    def set_parameters(self, **values: float) -> None:
+        """Command parameters of its driver: accel, decel, emergency_decel [m/s2], tau [s], min_gap [m].
+
+        Raises:
+            ValueError: there is no such parameter.
+        """
+        of = self._session.vehicle
+        for parameter, value in values.items():
+            if parameter not in IN_SUMO:
+                raise ValueError(f"no parameter {parameter!r} can be commanded, only {', '.join(IN_SUMO)}")
+            for key in IN_SUMO[parameter]:
+                present = getattr(of, f"get{key}")(self.name)
+                self._regular.setdefault(key, present)
+                if present != value:  # each setter copies the vehicle's type
+                    getattr(of, f"set{key}")(self.name, value)
+
+    def free_parameters(self) -> None:
+        """Give its driver the parameters back that were commanded."""
+        for key, value in self._regular.items():
+            getattr(self._session.vehicle, f"set{key}")(self.name, value)
+        self._regular = {}
 
     def may_change_lane(self) -> bool:
         """Whether a lane may be commanded: once lanes are taken from SUMO, it ends the change that it has begun."""

@@ -175,7 +175,7 @@ class Task:
     def events(
         self, config: Config, vehicles: Iterable[VehicleSpec], spawns: Iterable[Spawn], seed: int
     ) -> tuple[RiskEvent, ...]:
-        """What risky drivers among these vehicles do, by time."""
+        """What risky drivers among these vehicles do."""
         lifetimes = [(spec.id, 0.0) for spec in vehicles]
         policy_steps = pace(self.frequency(config), int(config["policy_frequency"]))
         lifetimes += [(spawn.vehicle.id, spawn.step / policy_steps) for spawn in spawns]
@@ -230,7 +230,7 @@ class Task:
         ego = self.ego(config, road, rng)
         vehicles = self.vehicles(config, road, ego, rng, drivers)
         spawns = tuple(self.spawns(config, road, seed, drivers))
-        events = self.events(config, vehicles, spawns, seed)
+        events = tuple(sorted(self.events(config, vehicles, spawns, seed), key=lambda event: event.time))
         cars = cars_count(config)
         if cars > 1:
             vehicles = self.with_cars(config, road, ego, vehicles, cars, rng)

@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import cos, sin
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
+from sumo_env.config import ConfigError, nearest
 from sumo_env.contacts.rectangles import CAR, LENGTH, Half, State, distance
 from sumo_env.streams import stream
 
@@ -20,6 +21,7 @@ CUT_IN_GAP = 1.0  # [m] that a cut-in leaves to every other vehicle, else it doe
 LOOKED_AT = 4.0 * LENGTH  # [m] vehicles further away, along x and y together, do not hinder a cut-in
 SWERVE_TIME = 3.0  # [s] that a cut-in into the lane of oncoming traffic lasts
 Kind = Literal["cut-in", "brake", "surge"]
+KINDS: list[str] = list(get_args(Kind))
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 
@@ -37,6 +39,30 @@ class RiskRates:
     surge_way: float = FREE_WAY  # [m] free straight ahead, else a surge pauses
 
 
+@dataclass(frozen=True)
+class EventKind:
+    """A kind of event of a user's own, on SUMO alone: a subclass says what it commands (docs/own-parts.md).
+
+    An event of it runs from its time on for its duration. ``at`` is a `sumo_env.sumo.events.Moment`: the event, the
+    vehicle that it commands, and what SUMO knows. What a subclass has beside methods are fields of a frozen dataclass.
+    """
+
+    def __str__(self) -> str:
+        return type(self).__name__
+
+    def pauses(self, at: Any) -> bool:
+        """Whether it leaves the vehicle to SUMO in this sub-step."""
+        return False
+
+    def command(self, at: Any) -> None:
+        """Command the vehicle for the next sub-step."""
+        raise NotImplementedError
+
+    def give_back(self, at: Any) -> None:
+        """Give SUMO what `command` has taken: when the event pauses or ends, or another one takes its place."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, slots=True)
 class RiskEvent:
     """Something dangerous that a driver does at a time fixed in advance.
@@ -45,20 +71,38 @@ class RiskEvent:
         time: since the start of the episode [s].
         vehicle: id of the driver's vehicle.
         kind: ``cut-in``: change to the neighbouring lane at once, where `has_room`. ``brake``: brake for nothing.
-            ``surge``: accelerate, whoever crosses the way, but pause while there is no `free_way`.
+            ``surge``: accelerate, whoever crosses the way, but pause while there is no `free_way`. Or an `EventKind`.
         direction: of a cut-in, -1 left or +1 right (the other one where there is no lane or no room).
         accel: of a surge, or of a brake (negative) [m/s2].
-        duration: of a brake or a surge [s].
+        duration: of all but a cut-in [s].
         way: of a surge, to the next vehicle straight ahead, from centre to centre [m]; it pauses while that is nearer.
+
+    Raises:
+        ConfigError: there is no such kind.
     """
 
     time: float
     vehicle: str
-    kind: Kind
+    kind: Kind | EventKind
     direction: int = 0
     accel: float = 0.0
     duration: float = 0.0
     way: float = FREE_WAY
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS and not isinstance(self.kind, EventKind):
+            raise ConfigError(
+                f"an event of {self.vehicle!r} is of the unknown kind {self.kind!r}: {nearest(str(self.kind), KINDS)}; "
+                "a kind of your own is an instance of a subclass of EventKind"
+            )
+
+    def kind_on(self, simulator: str) -> Kind:
+        """Its kind on a simulator that has no kinds of a user's own. Raises ConfigError for those."""
+        if isinstance(self.kind, EventKind):
+            raise ConfigError(
+                f"{simulator} has no events of the kind {type(self.kind).__name__!r}, which SUMO alone has"
+            )
+        return self.kind
 
 
 def pushes(rates: RiskRates) -> dict[Kind, dict[str, Any]]:

@@ -22,7 +22,7 @@ from sumo_env.traffic.drivers import (
     DriverPool,
     RiskRanges,
 )
-from sumo_env.traffic.risk import RiskEvent, RiskRates
+from sumo_env.traffic.risk import EventKind, RiskEvent, RiskRates
 
 EGO = "ego"
 NO_EVENTS = RiskRates()
@@ -194,6 +194,11 @@ class Scenario:
         if files.is_file(self.net):
             return self.network.road
         return road(self.net or self.task, **dict(self.road_arguments))
+
+    @property
+    def has_own_kinds(self) -> bool:
+        """Whether there are events of a user's own kinds."""
+        return any(isinstance(event.kind, EventKind) for event in self.events)
 
     @property
     def specs(self) -> tuple[VehicleSpec, ...]:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import libsumo
 import numpy as np
 import pytest
 
+from experiments.backends.highway_env import HighwayScenario
+from sumo_env.config import ConfigError, resolve
 from sumo_env.contacts.rectangles import State
+from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
+from sumo_env.sumo.events import Moment
 from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR, Session
 from sumo_env.sumo.world import SumoSimulator
-from sumo_env.traffic.risk import FREE_WAY, RiskEvent
+from sumo_env.tasks.highway import Highway
+from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent
+from sumo_env.traffic.scenario import Scenario
+from tests.processes import python
 from tests.sumo_env.scenarios import draw, with_leader
 
 
@@ -110,6 +117,123 @@ def test_a_surge_accelerates_where_the_way_is_free(simulator: SumoSimulator, tas
         gained.append(simulator.step({"ego": EgoCommand(9.0, scenario.ego.lane)}).scene.speed[1] - before)
     assert gained[0] == pytest.approx(4.0, abs=0.5)
     assert gained[1] < 2.0 < gained[2]  # 15 m are enough for the last
+
+
+@dataclass(frozen=True)
+class Tailgating(EventKind):
+    """Follow closely, but not while the leader is further ahead than `way`."""
+
+    tau: float = 0.1
+    given_back: ClassVar[list[str]] = []
+
+    def pauses(self, at: Moment) -> bool:
+        _, gap = at.sumo.getLeader(at.vehicle.name)
+        return bool(gap > at.event.way)
+
+    def command(self, at: Moment) -> None:
+        at.vehicle.set_parameters(tau=self.tau, min_gap=0.5)
+
+    def give_back(self, at: Moment) -> None:
+        self.given_back.append(at.vehicle.name)
+        at.vehicle.free_parameters()
+
+
+def following() -> Scenario:
+    """Two cars, one behind the other, and the ego far behind them."""
+    scenario = draw("highway", initial_lane_id=0, duration=12)
+    x, ahead = scenario.ego.x + 300.0, scenario.vehicles[0]
+    calm: dict[str, Any] = {"lane": ("0", "1", 2), "y": 8.0, "speed": 20.0, "changes_lanes": False}
+    pair = [
+        ahead._replace(id=f"v{k}", s=x - 45.0 * k, x=x - 45.0 * k, target_speed=20.0 + k, **calm)
+        for k in range(2)
+    ]
+    return replace(scenario, vehicles=tuple(pair))
+
+
+@pytest.mark.parametrize(("way", "acts"), [(60.0, True), (10.0, False)])
+def test_a_kind_of_a_user_s_own_commands_pauses_and_gives_back(
+    simulator: SumoSimulator, way: float, acts: bool
+) -> None:
+    scenario, gaps = following(), []
+    Tailgating.given_back.clear()
+    for events in ((), (RiskEvent(0.5, "v1", Tailgating(), duration=6.0, way=way),)):
+        simulator.reset(replace(scenario, events=events))
+        taus = [libsumo.vehicle.getTau("v1")]
+        for _ in range(8):
+            scene = simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}).scene
+            taus.append(libsumo.vehicle.getTau("v1"))
+            if scene.time == 5.0:
+                gaps.append(scene.x[1] - scene.x[2])
+                assert scene.in_event == ({"v1"} if events and acts else set())
+        assert taus[0] == taus[-1] and (0.1 in taus) == (bool(events) and acts)
+    assert (gaps[1] < gaps[0] - 5.0) == acts
+    assert Tailgating.given_back == ["v1"] * acts
+
+
+def test_a_kind_that_another_one_replaces_gives_back_at_once(simulator: SumoSimulator) -> None:
+    scenario = following()
+    tailgating = RiskEvent(0.0, "v1", Tailgating(), duration=9.0, way=200.0)
+    brake = RiskEvent(1.5, "v1", "brake", accel=-2.0, duration=1.0)
+    Tailgating.given_back.clear()
+    simulator.reset(replace(scenario, events=(tailgating, brake)))
+    regular = libsumo.vehicle.getTau("v1")
+    for wanted in (0.1, regular, regular):
+        simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
+        assert libsumo.vehicle.getTau("v1") == wanted
+    assert Tailgating.given_back == ["v1"]
+    assert libsumo.vehicle.getSpeedMode("v1") == REGULAR
+
+
+@pytest.mark.parametrize("wrong", ["tailgate", "", Tailgating, None])
+def test_an_unknown_kind_is_an_error(wrong: Any) -> None:
+    with pytest.raises(ConfigError, match="unknown kind"):
+        RiskEvent(1.0, "v0", wrong)
+
+
+def test_the_other_simulators_say_that_they_have_no_kinds_of_a_user_s_own() -> None:
+    class Own(Highway):
+        def events(self, *_: Any) -> tuple[RiskEvent, ...]:
+            return (RiskEvent(0.0, "v0", Tailgating(), duration=1.0),)
+
+    scenario = Own().scenario(resolve("highway", Own.defaults, {"vehicles_count": 3}), 0)
+    with pytest.raises(ConfigError, match="the replica has no"):
+        Replica().reset(scenario)
+    env = HighwayScenario({"vehicles_count": 3})
+    env.reset(seed=0)
+    env._events = list(scenario.events)
+    with pytest.raises(ConfigError, match="highway-env has no"):
+        env.step(1)
+
+
+IN_A_SCRIPT = """
+from dataclasses import replace
+from sumo_env.env import DrivingEnv
+from sumo_env.traffic.risk import EventKind, RiskEvent
+from sumo_env.tasks.highway import Highway
+
+class Stop(EventKind):
+    def command(self, at):
+        at.vehicle.hold_speed()
+        at.vehicle.drive(0.0)
+    def give_back(self, at):
+        at.vehicle.free_speed()
+
+class Stopping(Highway):
+    def events(self, config, vehicles, spawns, seed):
+        return [RiskEvent(1.0, "v0", Stop(), duration=1.0)]
+
+envs = [DrivingEnv(Stopping(), {"vehicles_count": 3}) for _ in range(2)]
+for env in envs:  # the second one in a worker
+    env.reset(seed=0)
+for env in envs:
+    env.step(1)
+    env.step(1)
+    print(env.scene.speed[1])
+"""
+
+
+def test_a_kind_may_be_a_class_of_a_script() -> None:
+    assert python("-c", IN_A_SCRIPT).split() == ["0.0", "0.0"]
 
 
 def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:

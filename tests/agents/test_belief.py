@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,10 +24,8 @@ from agents.belief import (
     fit,
     sharpened,
 )
-from agents.by_hand import Compiled
 from agents.columns import Observed
 from agents.greedy import Greedy
-from agents.models import EgoAttention, Standardised
 from agents.rules.perception import Perception
 from tests.agents.test_rules import road, scene
 from tests.experiments.fake_env import make_env
@@ -178,14 +175,6 @@ class TestWeighed:
         assert Greedy(network).act(table[:, :-1]) == 1
         assert Weighed(Greedy(network), Greedy(network)).act(table) == 0
         assert network.values.tolist() == torch.tensor([1.0, 1.0001, 0.3]).tolist()  # of the agent itself
-
-    def test_compiled_agents_act_as_others(self) -> None:
-        space = gym.spaces.Box(-1, 1, (4, 5), np.float32)
-        torch.manual_seed(0)
-        networks = [Standardised(EgoAttention(space, 5), space) for _ in range(2)]
-        pair, compiled = (Weighed(*(kind(deepcopy(net)) for net in networks)) for kind in (Greedy, Compiled))
-        for table in np.random.default_rng(0).uniform(0, 1, (50, 4, 6)).astype(np.float32):
-            assert pair.act(table) == compiled.act(table)
 
 
 class TestMoreCareful:

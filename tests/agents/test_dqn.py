@@ -136,40 +136,6 @@ def test_updates_by_hand_are_those_of_autograd(norm: float, interval: int, shift
     np.testing.assert_allclose(values, values_by_hand, atol=1e-5)
 
 
-def test_the_first_update_is_that_of_stable_baselines3() -> None:
-    """Before the networks part, double DQN is DQN; and its smooth L1 loss is half of ours where errors are small.
-
-    Adam's step does not depend on the scale of the gradient once its epsilon has the same scale.
-    """
-    stable_baselines3 = pytest.importorskip("stable_baselines3")
-    from stable_baselines3.common.buffers import ReplayBufferSamples
-    from stable_baselines3.common.logger import configure
-
-    class Spaces(gym.Env):
-        observation_space = gym.spaces.Box(-10, 10, (INPUTS,), np.float32)
-        action_space = gym.spaces.Discrete(ACTIONS)
-
-    config = dataclasses.replace(SMALL, max_grad_norm=1e9, batch_size=64)
-    agent = make(config, seed=4)
-    fill(agent, 100)
-    settings = {"learning_rate": 5e-4, "gamma": config.gamma, "batch_size": 64, "max_grad_norm": 1e9}
-    model = stable_baselines3.DQN("MlpPolicy", Spaces(), **settings, device="cpu")
-    model.set_logger(configure(None, []))
-    for net in (model.q_net, model.q_net_target):
-        net.q_net = Small(Spaces.observation_space, ACTIONS)
-        nn.utils.vector_to_parameters(torch.from_numpy(weights(agent.online)), net.q_net.parameters())
-    model.policy.optimizer = torch.optim.Adam(model.q_net.parameters(), lr=5e-4, eps=0.5e-8)
-    sampling = copy.deepcopy(agent._sampling)
-    s, action, reward, after, terminated = agent.replay.sample(sampling, 64)
-    samples = ReplayBufferSamples(s, action[:, None], after, terminated[:, None], reward[:, None], None)
-    model.replay_buffer.sample = lambda *_, **__: samples
-    before = weights(agent.online)
-    model.train(gradient_steps=1, batch_size=64)
-    assert agent.update() < 0.5  # within the square part of smooth L1
-    np.testing.assert_allclose(weights(agent.online), weights(model.q_net.q_net), atol=2e-6)
-    assert np.abs(weights(agent.online) - before).max() > 4e-4
-
-
 def test_values_and_policy_of_a_known_decision_process() -> None:
     """Faster actions pay more and crash more often (terminal, no reward after)."""
     gamma, states = 0.9, 12

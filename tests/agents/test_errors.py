@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from agents.belief import Estimator, Weighed
 from agents.dqn import DQNConfig, train
 from agents.files import save_arrays
 from agents.greedy import Greedy
-from agents.learners import learner
+from agents.learner import settings_of
+from agents.learners import LEARNERS, learner
 from agents.models import EgoAttention, network_class
 from agents.policies import foreign_policy
 from agents.replay import Replay
@@ -47,6 +49,15 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
 ]
 CALLS: list[tuple[Callable[[], Any], str]] = [
     *((lambda setting=setting: DQNConfig(**setting), word) for setting, word in SETTINGS),
+    *(
+        (partial(settings_of, one.Settings, {"gama": 0.9}, name), f"'gama' of {name}: did you mean 'gamma'")
+        for name, one in LEARNERS.items()
+    ),
+    *(
+        (partial(settings_of, one.Settings, {"batch_size": wrong}, name), "batch_size")
+        for name, one in LEARNERS.items()
+        for wrong in (0, 2.5, "many")
+    ),
     (lambda: learner("sb3-pp"), "did you mean 'sb3-ppo'"),
     (lambda: learner("mine.py:Mine"), "no Settings"),
     (lambda: train(gym.make("Pendulum-v1"), DQNConfig(), 0), "Box observations and Discrete actions"),

@@ -14,7 +14,6 @@ from agents.dqn import DQN, DQNConfig, Training, train
 from agents.learner import Trained
 from tests.agents import networks
 from tests.agents.networks import Small, weights
-from tests.experiments.computed import Interrupted, interrupting
 from tests.experiments.fake_env import FakeEnv
 
 SMALL = DQNConfig(
@@ -102,22 +101,17 @@ needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a C
 @pytest.mark.parametrize(
     ("network", "device"),
     [
-        ("Small", "cpu"),
         ("Noisy", "cpu"),
         ("by hand", "cpu"),
         pytest.param("Small", "cuda", marks=needs_cuda),
     ],
 )
-def test_a_training_that_is_killed_begins_again_and_gives_the_same_bits(network: str, device: str) -> None:
+def test_a_training_gives_the_same_bits_again(network: str, device: str) -> None:
+    """With a replay memory that wraps; of all learners, also after one that was killed: test_learners.py."""
     by_hand = network == "by hand"
     network = "attention" if by_hand else f"{networks.__file__}:{network}"
-    config = replace(
-        SMALL, network=network, by_hand=by_hand, device=device, replay_capacity=200
-    )  # which wraps
-    expected = train(road(), config, 0)
-    with pytest.raises(Interrupted):
-        train(road(), config, 0, progress=interrupting(config.warm_up + 140))
-    assert_equal(expected, train(road(), config, 0))
+    config = replace(SMALL, network=network, by_hand=by_hand, device=device, replay_capacity=200)
+    assert_equal(train(road(), config, 0), train(road(), config, 0))
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +19,6 @@ TINY: dict[str, Any] = {
     "network": "dueling",
     "episodes": 3,
 }
-
-
-class Interrupted(Exception):
-    pass
-
-
-def interrupting(moment: int) -> Callable[[int], None]:
-    """Ends a training after so many updates."""
-
-    def stop(updates: int) -> None:
-        if updates >= moment:
-            raise Interrupted
-
-    return stop
 
 
 def tasks_of(directory: Path, **options: Any) -> list[CellTask]:

@@ -17,7 +17,6 @@ from experiments.study.design.arms import EVERY_ARM, TEST, scenario_seed, traini
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.grid import Cell
 from tests.agents.networks import weights
-from tests.experiments.computed import Interrupted, interrupting
 from tests.experiments.fake_env import FakeEnv, make_env
 
 PROFILE = {"network": "dueling", "updates": 60, "steps_per_update": 2, "warm_up": 40, "batch_size": 8}
@@ -58,8 +57,8 @@ def test_an_arm_differs_by_the_traffic_of_its_training_alone(arm, doses, tmp_pat
 
 
 def test_a_drawn_dose_is_met_logged_and_the_same_again(met) -> None:
-    def trained(moment: int = 999) -> tuple[Trained, pd.DataFrame, dict[str, Any]]:
-        return train_cell(cell("mixed", training_clock=[13, 13]), make_env, interrupting(moment))
+    def trained() -> tuple[Trained, pd.DataFrame, dict[str, Any]]:
+        return train_cell(cell("mixed", training_clock=[13, 13]), make_env, lambda _: None)
 
     whole, episodes, record = trained()
     assert record["steps"] >= 160
@@ -68,8 +67,6 @@ def test_a_drawn_dose_is_met_logged_and_the_same_again(met) -> None:
     assert [dose for _, dose, _ in met] == expected == episodes["risk"].tolist()
     assert len(set(expected)) == 2
 
-    with pytest.raises(Interrupted):
-        trained(120)  # environment steps
     again, log, _ = trained()
     assert weights(again.policy) == weights(whole.policy)
     assert log.equals(episodes)

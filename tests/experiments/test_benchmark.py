@@ -1,10 +1,11 @@
-"""The benchmark: its arithmetic, and every part on next to nothing."""
+"""The benchmark: its arithmetic on rates that are given, and a slice of each kind of driver."""
 
 from __future__ import annotations
 
 import json
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -28,41 +29,51 @@ def test_a_slice_ends_with_an_episode_and_holds_its_resets() -> None:
     driver._env.close()
 
 
-class Here(nullcontext):
-    """In place of a process."""
+@pytest.mark.parametrize(
+    "arguments", [("highway-env", "u-turn"), ("replica", "u-turn"), ("replica", "u-turn", {}, 4, 2)], ids=str
+)
+def test_other_drivers_drive_too(arguments: tuple[Any, ...]) -> None:
+    driver = Driver(*arguments)
+    assert min(driver.rate(0.0)) > 0.0 and driver.distinct(3) == 3
 
-    Driver = Driver
+
+class Given(nullcontext):
+    """In place of a process: drivers of these rates, in processor time and in wall time."""
+
+    RATES = {"highway-env": 10.0, "replica": 1000.0, "sumo": 200.0}  # noqa: RUF012
 
     def __init__(self, ctx: object) -> None:
         super().__init__(self)
 
+    def Driver(self, backend: str, task: str, config: Any = None, batch: int = 1, threads: int = 1) -> Given:
+        self.rates = self.RATES[backend] * batch, self.RATES[backend] * batch * threads
+        return self
 
-@pytest.mark.slow
+    def rate(self, seconds: float) -> tuple[float, float]:
+        return self.rates
+
+    def reset_ms(self) -> float:
+        return 2.0
+
+    def distinct(self, seeds: int) -> int:
+        return seeds
+
+
 def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    for name, value in {"has_envpool": lambda: False, "QUICK_TURNS": 2, "QUICK_SECONDS": 0.02}.items():
-        monkeypatch.setattr(benchmark, name, value)
-    peers = run(Options(tmp_path, quick=True, tasks=("u-turn",), parts=("peers",)))
-    monkeypatch.setattr(benchmark, "Process", Here)  # what follows would start many
-    results = run(Options(tmp_path, quick=True, tasks=("u-turn",), parts=("env", "batches")))
+    monkeypatch.setattr(benchmark, "has_envpool", lambda: False)
+    monkeypatch.setattr(benchmark, "Process", Given)
+    results = run(Options(tmp_path, quick=True, tasks=("u-turn",), parts=("peers", "env", "batches")))
     assert json.loads((tmp_path / "benchmark.json").read_text()) == results
-    assert [r["of"] for r in results["env"]] == [
-        f"{side}, u-turn {level}"
-        for level in ("3", "12")
-        for side in ("highway-env", "sumo 10 Hz", "sumo 15 Hz", "replica 15 Hz")
-    ]
-    ours = [r for r in results["env"] if not r["of"].startswith("highway-env")]
-    assert all(r["ratio"] > 1.0 and r["reset_ms"] > 0.0 for r in ours)
-    stock, replica, sumo = peers["peers"]
-    names = [r["of"].partition(", ") for r in (stock, replica, sumo)]
-    assert names == [(name, ", ", "u-turn") for name in ("highway-env", "replica", "sumo")]
-    assert stock["ratio"] == 1.0 and stock["distinct"] == 100 and replica["ratio"] > 1.0
-    assert replica["distinct"] == stock["distinct"]
-    assert [r["of"] for r in results["batches"]] == [
-        f"{side}, u-turn {level}"
-        for level in ("default", "3", "12")
-        for side in ("replica", "replica on two threads (wall time)")
-    ]
-    assert results["batches"][0]["steps_per_second"] > replica["steps_per_second"]
-    assert all(r["ratio"] > 0.0 for r in results["batches"])
+    found = {
+        part: {line["of"]: line["ratio"] for line in results[part]} for part in ("peers", "env", "batches")
+    }
+    assert found["peers"] == {"highway-env, u-turn": 1.0, "replica, u-turn": 100.0, "sumo, u-turn": 20.0}
+    assert {line["distinct"] for line in results["peers"]} == {100}
+    sides = {"highway-env": 1.0, "sumo 10 Hz": 20.0, "sumo 15 Hz": 20.0, "replica 15 Hz": 100.0}
+    levels = ("default", "3", "12")
+    assert found["env"] == {f"{side}, u-turn {k}": sides[side] for k in levels[1:] for side in sides}
+    sides = {"replica": 1.0, "replica on two threads (wall time)": 2.0}
+    assert found["batches"] == {f"{side}, u-turn {k}": sides[side] for k in levels for side in sides}
+    assert results["batches"][0]["steps_per_second"] == 64_000.0
     printed = capsys.readouterr()
     assert "EnvPool is left out" in printed.err and "steps_per_second" in printed.out

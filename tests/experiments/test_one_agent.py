@@ -22,7 +22,6 @@ from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
 from experiments.support.errors import UserError
-from tests.experiments import synthetic
 
 pytestmark = pytest.mark.slow
 
@@ -73,20 +72,6 @@ def test_intervals() -> None:
     found = driving(pd.DataFrame({"crashed": crashed, "return": 1.0, "mean_speed": [1.0, 3.0] * 25}))
     assert test.words("crash_rate", *found["crash_rate"]) == " 10% [4, 21]"  # Wilson
     assert test.words("speed", *found["speed"]) == "  2.00 ± 0.29"  # Student: 2.0096 x 1.0102 / sqrt(50)
-
-
-def test_trainings_of_one_slug_are_told_apart_and_the_published_study_need_not_be_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-) -> None:
-    monkeypatch.setattr(test, "PUBLISHED", tmp_path / "nowhere")
-    home = tmp_path / "my results"
-    for updates in (300, 400):
-        synthetic.write(home, {"u-turn": (1,)}, arms=("control",), seeds=1, updates=updates)
-    assert test.test(test.Options(home)) == 0
-    said = capsys.readouterr().out
-    assert "(published)" not in said
-    agents = [line.split()[0] for line in said.splitlines() if line.startswith("control-s0-")]
-    assert len(set(agents)) == len(agents) == 2
 
 
 def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:

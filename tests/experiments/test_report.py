@@ -16,13 +16,11 @@ from experiments import report
 from experiments.analysis.analysis import DESCRIPTIVE, analyse, policies, stored
 from experiments.analysis.effects import means
 from experiments.analysis.plan import OUTCOMES
-from experiments.reporting import figures
 from experiments.reporting.by_task import both_arms
 from experiments.reporting.tables import difference, effect, main
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
-from tests.processes import python_again
 
 VOID = {"meta", "br", "link", "hr", "img", "input"}
 
@@ -114,12 +112,6 @@ class TestReport:
         pages = [link for link in page.values("href") if not link.startswith("https://arxiv.org/")]
         assert all((directory / link).exists() for link in pages)
         assert not re.search(r"\b(nan|None|inf|undefined)\b|{[{%]", page.text)
-
-    def test_cells_name_their_columns_for_a_phone_which_shows_no_heads(self, directory):
-        text = (directory / "report.html").read_text()
-        heads = {head.strip() for head in re.findall(r"<th>(.*?)</th>", text)}
-        named = re.findall(r'<td data-column="(.*?)"', text)
-        assert named and set(named) <= heads
 
     def test_is_the_same_for_the_same_cells(self, directory):
         names = ("report.html", "appendix.html", "report.md", "analysis.json", "summary.csv", "effects.csv")
@@ -263,24 +255,6 @@ def test_films_of_the_folder_are_shown_and_the_validation_is_told_in_sizes(tmp_p
     assert page.values("src") == ["data:image/gif;base64,R0lGODlh"]
     assert "8 of 9 checks are within margins" in text
     assert "crash rate of idm 0.76 instead of 0.58 (margin 0.15)" in text
-
-
-class TestCommand:
-    def test_works_from_anywhere(self, directory, tmp_path):
-        printed = python_again(report.__file__, directory, cwd=tmp_path)
-        assert str(directory / "report.html") in printed
-        text = (directory / "report.md").read_text().replace("**", "")
-        assert text.partition("\n\n")[2].startswith(printed[:200])
-
-
-class TestFigures:
-    def test_colours_follow_the_page(self, directory):
-        agents = {k: v for k, v in load(directory).cells.items() if v.get("learner")}
-        drawn = figures.learning_curves(agents, "sumo")
-        assert drawn.startswith("<svg role")
-        assert f"var(--control, {figures.CONTROL})" in drawn
-        assert re.search(r"(?<!, )" + figures.CONTROL, drawn) is None
-        assert "<dc:date>" not in drawn
 
 
 OWN = """

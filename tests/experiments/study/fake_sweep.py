@@ -7,11 +7,18 @@ import sys
 from pathlib import Path
 
 from experiments.study.results.store import Store
+from experiments.support.errors import run_command
 from experiments.sweep import Options, cells_of, compute
 from tests.experiments.fake_env import make_env
 
-if __name__ == "__main__":  # and not in its workers
+
+def main() -> int:
+    """As of experiments/sweep.py."""
     directory = Path(sys.argv[1])
     cells = cells_of(Options(**json.loads(sys.argv[2])))
     Store(directory).write_sweep("sweep", cells)
-    sys.exit(bool(compute(cells, directory, make_env, workers=2)))
+    return bool(compute(cells, directory, make_env, workers=2))
+
+
+if __name__ == "__main__":  # and not in its workers
+    run_command(main, resumes=True)

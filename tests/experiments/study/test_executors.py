@@ -13,7 +13,6 @@ from experiments.study.compute.run import run
 from experiments.study.results.working import fraction_done
 from tests.experiments.study.misbehaving import Sum
 from tests.experiments.study.test_run import TOTAL, Witness, results
-from tests.processes import python
 
 pytestmark = pytest.mark.slow
 
@@ -78,49 +77,3 @@ def test_ray_computes_and_retries_on_a_cluster_of_its_own(tmp_path, ray):
     assert failures == {}
     assert results(tasks) == [TOTAL] * 3
     assert [len(task.tries()) for task in tasks] == [1, 2, 2]
-
-
-# Two nodes with one core each; the second one is killed as soon as both compute.
-NODES = """
-import os, sys
-from pathlib import Path
-from ray.cluster_utils import Cluster
-from experiments.study.compute.executors import open_executor
-from experiments.study.compute.run import run
-from experiments.study.results.working import fraction_done
-from tests.experiments.study.misbehaving import Sum
-from tests.experiments.study.test_run import Witness
-
-cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-second = cluster.add_node(num_cpus=1)
-os.environ["RAY_ADDRESS"] = cluster.address
-here = Path(sys.argv[1])
-tasks = [Sum(f"t{number}", here, pause=0.3) for number in range(8)]
-
-class Killer(Witness):
-    killed = 0
-
-    def tick(self):
-        if not self.killed and sum(fraction_done(task.folder) > 0.2 for task in tasks) == 2:
-            self.killed = 1
-            cluster.remove_node(second, allow_graceful=False)
-
-executor, limit = open_executor("ray", None, here, 25)
-witness = Killer()
-failures = run(tasks, executor, limit, witness)
-print(limit, witness.killed, failures, witness.retries, flush=True)
-cluster.shutdown()
-"""
-
-
-@pytest.mark.long
-def test_a_ray_node_that_is_killed_costs_nothing_but_time(tmp_path):
-    pytest.importorskip("ray")
-    script = tmp_path / "nodes.py"
-    script.write_text(NODES)
-    printed = python(script, tmp_path)
-    assert "\n2 1 {} [(" in f"\n{printed}", printed  # two cores, one killed, none failed, some retried
-    tasks = [Sum(f"t{number}", tmp_path) for number in range(8)]
-    assert results(tasks) == [TOTAL] * 8
-    assert sum(len(task.tries()) for task in tasks) == 9
-    assert not list((tmp_path / "work").iterdir())

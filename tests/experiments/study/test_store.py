@@ -18,7 +18,7 @@ from experiments.study.design import grid
 from experiments.study.results import store
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
-from tests.experiments.computed import Interrupted, damage, fingerprint, tasks_of
+from tests.experiments.computed import damage, tasks_of
 
 
 @pytest.fixture(scope="module")
@@ -163,46 +163,6 @@ def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):
 # -- whatever happens to the files, a damaged one is named, never analysed, and its cell computed again ------------
 
 
-@pytest.fixture(scope="module")
-def interrupted(tmp_path_factory) -> Path:
-    """A directory with an agent in the middle of its training, as `kill -9` leaves it."""
-    directory = tmp_path_factory.mktemp("interrupted")
-
-    def cut(fraction: float) -> None:
-        if fraction:
-            raise Interrupted
-
-    task = next(task for task in tasks_of(directory) if task.cell.kind == "agent")
-    task.folder.mkdir(parents=True)
-    with pytest.raises(Interrupted):
-        task.compute(cut)
-    return directory
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "how"),
-    [
-        ("progress.json", "changed"),
-        ("lock", "gone"),
-        ("log.txt", "cut"),
-    ],
-)
-def test_a_damaged_working_file_costs_nothing(finished, interrupted, tmp_path, name, how):
-    directory = tmp_path / "results"
-    shutil.copytree(interrupted, directory)
-    task = next(task for task in tasks_of(directory) if task.cell.kind == "agent")
-    path = task.folder / name
-    path.parent.mkdir(exist_ok=True)
-    if not path.exists():
-        path.write_text("0.5")
-    damage(path, how)
-    store.Store(directory).failures()
-    assert attempt(task).state == "done"
-    assert fingerprint(directory)[task.name] == fingerprint(finished)[task.name]
-    assert not list(directory.glob("damaged/*"))
-
-
 class Payload:
     """Leaves a trace where it is unpickled."""
 
@@ -214,25 +174,18 @@ class Payload:
 
 
 @pytest.mark.slow
-def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
+def test_nothing_is_unpickled_from_a_file(results, tmp_path):
     trace = tmp_path / "unpickled"
     bomb = np.array([Payload(trace)], dtype=object)
-    for number, origin in enumerate((finished, interrupted)):
-        directory = tmp_path / str(number)
-        shutil.copytree(origin, directory)
-        folders = ("cells/*", "weights/*", "training/*", "work/*/*")
-        for path in [
-            *(path for place in folders for path in directory.glob(place)),
-            directory / "sweep.json",
-        ]:
-            if path.suffix == ".npz":
-                with path.open("wb") as file:
-                    np.savez(file, settings=bomb, weights=bomb)
-            else:
-                path.write_bytes(pickle.dumps(bomb))
-        with pytest.raises(UserError):
-            load(directory)
-        assert {attempt(task).state for task in tasks_of(directory)} == {"done"}
+    for path in [*results.glob("*/*.*"), results / "sweep.json"]:
+        if path.suffix == ".npz":
+            with path.open("wb") as file:
+                np.savez(file, settings=bomb, weights=bomb)
+        else:
+            path.write_bytes(pickle.dumps(bomb))
+    with pytest.raises(UserError):
+        load(results)
+    assert {attempt(task).state for task in tasks_of(results)} == {"done"}
     assert not trace.exists()
-    np.load(next(tmp_path.glob("0/damaged/*/*.npz")), allow_pickle=True)["settings"]
+    np.load(next(results.glob("damaged/*/*.npz")), allow_pickle=True)["settings"]
     assert trace.exists()  # the trap works

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from experiments.validation import checks
-from experiments.validation.checks import REFERENCE, margin, scorecard
+from experiments.validation.checks import REFERENCE, scorecard
 from experiments.validation.episodes import BIN, BINS, HEADWAYS
 from tests.experiments.validation.tables import compared, episodes
 
@@ -75,22 +75,6 @@ def test_noise_of_few_scenarios_misses_nothing_in_a_quick_run() -> None:
 @pytest.mark.parametrize(("n", "margin"), [(50, np.nan), (2, MARGIN)])
 def test_no_verdict_without_margin_or_with_too_few_scenarios(n: int, margin: float) -> None:
     assert checks.verdict({"difference": 9.0, "low": 8.0, "high": 10.0, "n": n}, margin) is None
-
-
-def test_margins_are_those_of_the_design() -> None:
-    expected = {
-        "traffic_speed": 0.1,
-        "headway": 0.3,
-        "return": 1.0,
-        "crashed": 0.1,
-        "crashed_ego": 0.15,
-        "order": 0.0,
-    }
-    regular = {metric: margin(metric, "highway", "regular", 2.0) for metric in checks.MARGINS}
-    assert regular == pytest.approx({**expected, "lane_changes": 0.5})  # return: of the range of 20
-    assert {metric: margin(metric, "highway", "risky", 2.0) for metric in expected} == pytest.approx(expected)
-    assert np.isnan(margin("lane_changes", "highway", "risky", 2.0))
-    assert np.isnan(margin("length", "highway", "regular", 2.0))
 
 
 def test_a_simulator_that_does_the_same_is_equivalent_everywhere() -> None:

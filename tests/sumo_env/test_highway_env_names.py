@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import pickle
 import warnings
-from contextlib import closing
 from importlib import import_module
 from typing import Any
 
@@ -22,9 +21,7 @@ from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv, HighwayEnvFast, IntersectionEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.interface import tell_of_lanes
-from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
-from tests.processes import python
 from tests.tasks import every_task
 
 CLASSES = (HighwayEnv, TwoWayEnv, RoundaboutEnv, IntersectionEnv, UTurnEnv)
@@ -150,64 +147,6 @@ def test_default_config_is_a_class_method_or_a_method() -> None:
         assert made().task is TASKS[task] and issubclass(made, AbstractEnv)
     assert OfNoTask().config["duration"] == 20 and OfNoTask().config["screen_width"] == 790
     assert ByTheInstance().config["duration"] == 7
-
-
-def test_classes_of_the_package_are_imported_when_they_are_asked_for() -> None:
-    assert sumo_env.DrivingEnv is DrivingEnv and {"DrivingEnv", "SumoDrivingEnv", "Task"} <= set(
-        dir(sumo_env)
-    )
-    assert isinstance(TASKS["u-turn"], sumo_env.Task)
-    code = "import sumo_env, sys; assert 'sumo_env.env' not in sys.modules; sumo_env.SumoDrivingEnv"
-    python("-c", code)
-
-
-class OfTheReplica(ReplicaEnv):
-    """Written as highway-env's classes are."""
-
-    def __init__(self) -> None:
-        super().__init__("u-turn", version=1)
-
-    @classmethod
-    def default_config(cls) -> dict[str, Any]:
-        config = super().default_config()
-        config.update({"duration": 5, "bonus": 1})
-        return config
-
-
-def test_the_replica_can_be_subclassed_likewise() -> None:
-    env = OfTheReplica()
-    assert env.config["neighbour_vehicles_connected_lanes"] and env.config["simulation_frequency"] == 15
-    assert (env.config["duration"], env.config["bonus"]) == (5, 1)
-    assert ReplicaEnv.default_config()["simulation_frequency"] == 15
-
-
-class OwnSpaces(HighwayEnv):
-    """Whose observation is the speed alone, and whose info has more."""
-
-    class Speed:
-        def __init__(self, env: HighwayEnv) -> None:
-            self.env = env
-
-        def space(self) -> gym.Space[Any]:
-            return gym.spaces.Box(0.0, 40.0, (1,), np.float32)
-
-        def observe(self) -> np.ndarray:
-            return np.array([self.env.vehicle.speed], np.float32)
-
-    def define_spaces(self) -> None:
-        super().define_spaces()
-        self.observation_type = self.Speed(self)
-        self.observation_space = self.observation_type.space()
-
-    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
-        return {**super()._info(obs, action), "lane": self.vehicle.lane_index[2]}
-
-
-def test_spaces_and_info_can_be_overridden() -> None:
-    with closing(OwnSpaces({"vehicles_count": 3})) as env:
-        observation, info = env.reset(seed=0)
-        assert observation in env.observation_space and observation == pytest.approx([25.0])
-        assert info["lane"] == env.step(1)[4]["lane"] == env.vehicle.lane_index[2]
 
 
 def test_what_would_never_be_called_is_refused_with_its_page() -> None:

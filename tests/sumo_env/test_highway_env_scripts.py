@@ -250,67 +250,6 @@ def test_one_configuration_serves_several_roads(road: str, recwarn: pytest.Warni
         env.unwrapped.configure({"observation": {**config["observation"], "absolut": True}})
 
 
-def policy_gradient_step(env: Any, weights: Any, seed: int) -> float:
-    """REINFORCE on one episode, with a linear policy."""
-    torch = pytest.importorskip("torch")
-    observation, _ = env.reset(seed=seed)
-    chosen, rewards, over = [], [], False
-    while not over:
-        logits = weights @ torch.as_tensor(observation.flatten())
-        choice = torch.distributions.Categorical(logits=logits)
-        action = choice.sample()
-        chosen.append(choice.log_prob(action))
-        observation, reward, terminated, truncated, _ = env.step(action.item())
-        rewards.append(reward)
-        over = terminated or truncated
-    loss = -sum(logarithm * sum(rewards[step:]) for step, logarithm in enumerate(chosen))
-    weights.grad = None
-    loss.backward()
-    with torch.no_grad():
-        weights -= 0.01 * weights.grad
-    return float(sum(rewards))
-
-
-def test_a_policy_gradient_in_plain_torch_trains_on_flat_observations() -> None:
-    torch = pytest.importorskip("torch")
-    env = gym.make("sumo/highway-fast-v0", config={**FEW, "policy_frequency": 2}, render_mode=None)
-    assert isinstance(env.action_space, gym.spaces.Discrete)
-    size = int(np.prod(env.observation_space.shape or ()))
-    weights = torch.zeros((int(env.action_space.n), size), requires_grad=True)
-    returns = [policy_gradient_step(env, weights, seed=10_000 + episode) for episode in range(2)]
-    assert min(returns) > 0.0 and bool(weights.detach().abs().sum() > 0)
-
-
-class Overtaking(gym.Wrapper[Any, Any, Any, Any]):
-    """Looks for the vehicle ahead itself, and walks over the lanes by their numbers."""
-
-    def step(self, action: Any) -> Any:
-        observation, paid, terminated, truncated, info = self.env.step(action)
-        inner: Any = self.env.unwrapped
-        ego, reward = inner.vehicle, float(paid)
-        start, end, own = ego.lane_index
-        lanes = [inner.road.network.get_lane((start, end, k)) for k in range(inner.config["lanes_count"])]
-        ahead = [v for v in inner.road.vehicles if v.lane_index[2] == own and v.position[0] > ego.position[0]]
-        nearest = min(ahead, key=lambda v: v.position[0], default=None)
-        if nearest is not None and ego.speed > nearest.speed + 5:
-            reward += 1.0
-        reward -= 0.1 * abs(ego.heading) + 0.1 * (ego.target_lane_index != ego.lane_index)
-        return (
-            observation,
-            reward,
-            terminated,
-            truncated,
-            {**info, "lengths": [lane.length for lane in lanes]},
-        )
-
-
-def test_a_wrapper_looks_for_the_vehicle_ahead() -> None:
-    env = Overtaking(gym.make("sumo/highway-v0", config=FEW))
-    env.reset(seed=0)
-    *_, info = env.step(np.int64(3))
-    assert len(set(info["lengths"])) == 1 and len(info["lengths"]) == 4
-
-
 def test_an_attack_normalises_with_what_the_observation_type_has() -> None:
     sumo_env.register_highway_envs()
     env: Any = gym.make("sumo/highway-v0", config=FEW).unwrapped

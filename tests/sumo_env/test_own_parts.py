@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,6 @@ from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import Road
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import Replica
-from sumo_env.simulator import SimulatorError
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import drive, observations
@@ -122,31 +120,6 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
         for kind in ElementTree.parse(tmp_path / "types.add.xml").iter("vType")
     }
     assert types["car-12x2.5"] == "12" and types["car"] is None
-
-
-def highway(change: Callable[[Any], Any]) -> Highway:
-    """The highway, with its vehicles as a function changes them."""
-
-    class Changed(Highway):
-        def vehicles(self, *arguments: Any) -> list[Any]:
-            return [change(spec) for spec in super().vehicles(*arguments)]
-
-    return Changed()
-
-
-@pytest.mark.parametrize(
-    ("attributes", "words"),
-    [
-        ({"carFollowModel": "Kraus"}, "Unknown car following model 'Kraus'"),
-        ({"tau": -1.0}, "tau. Must be greater than 0"),
-        ({"accel": "fast"}, "accel. Cannot be parsed to float"),
-    ],
-)
-def test_values_that_sumo_refuses_are_an_error_of_the_reset(attributes, words, capfd) -> None:
-    env = DrivingEnv(highway(lambda spec: spec._replace(driver=spec.driver.like("odd", attributes))))
-    with pytest.raises(SimulatorError, match=r"What it says is above.*vehicle types"):
-        env.reset(seed=0)
-    assert words in capfd.readouterr().err
 
 
 # -- options -----------------------------------------------------------------------------------------------

@@ -348,19 +348,3 @@ def test_for_super_suit_all_agents_act_from_the_beginning(road: tuple[Path, Path
     assert found[-1][3].all() and not any(result[3].any() for result in found[:-1])
     assert not any(result[2].any() for result in found)
     envs.close()
-
-
-@needs_sumo
-def test_what_sumo_writes_goes_to_a_folder_or_nowhere(road: tuple[Path, Path], tmp_path: Path) -> None:
-    net, routes = road
-    town = net.with_name("town.sumocfg")
-    files = f'<net-file value="{net.name}"/><route-files value="{routes.name}"/>'
-    town.write_text(f'<configuration>{files}<tripinfo-output value="trips.xml"/></configuration>')
-    config = {"duration": 5, "action": WATCHED}
-    with pytest.warns(UserWarning, match=r"outputs are off \(tripinfo-output\)"):
-        sumo_env.parallel_env(town, config, vehicles=["early", "late"])
-    env = sumo_env.parallel_env(town, config, vehicles=["early", "late"], output_dir=tmp_path)
-    env.reset(seed=0)
-    env.step({"car_0": 0})
-    env.close()
-    assert [path.parent.name for path in tmp_path.rglob("trips.xml")] == ["episode-1"]

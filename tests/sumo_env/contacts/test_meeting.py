@@ -206,25 +206,6 @@ def test_where_the_way_is_short_heights_decide(height: int, kind: str, tmp_path:
     assert (found.crash["other"], found.crash["type"]) == ("another", kind)
 
 
-@pytest.mark.parametrize(
-    "episodes", [pytest.param(30, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.long)]
-)
-def test_episodes_over_bridges_have_no_crash(tmp_path: Path, episodes: int) -> None:
-    """The ego's road crosses two others among dense traffic: one 8 m below, one at the same height."""
-    below = "s 100 -120 0, n 100 120 0, t 150 120 8, q 150 -120 8"
-    plan = nodes(f"w 0 0 8, e 250 0 8, {below}"), edges("we", "sn", "tq")
-    net = netconvert(tmp_path, plan)
-    config = {"vehicles_count": 24, "risk": 1.0}
-    with closing(SumoDrivingEnv(net, [["sn"], ["tq"]], ["we"], config)) as env:
-        others = 0
-        for seed in range(episodes):
-            infos = [result[-1] for result in drive(env, FASTER, seed)]
-            assert infos[-1]["arrived"] and not infos[-1]["crashed"], seed
-            assert min(info["min_ttc"] for info in infos) == math.inf
-            others += max(info["density"] for info in infos)
-        assert others > episodes * 5
-
-
 # -- real crashes ------------------------------------------------------------------------------------------
 
 REAL: dict[str, tuple[Any, ...]] = {

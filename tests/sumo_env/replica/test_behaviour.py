@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
 import sumo_env
@@ -17,7 +16,6 @@ import sumo_env
 pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test
 
-ACTIONS: list[Any] = [{"type": kind} for kind in ("ContinuousAction", "DiscreteAction", "DiscreteMetaAction")]
 SHORT = {"controlled_vehicles": 2, "duration": 5}
 TUPLES: dict[str, Any] = {
     **SHORT,
@@ -36,49 +34,7 @@ def made(id: str, **keywords: Any) -> Any:
 # -- types of action -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("action", ACTIONS, ids=str)
-def test_every_type_of_action_can_be_configured_after_the_environment_was_made(action: Any) -> None:
-    env = made("replica/highway-v0", render_mode="rgb_array").unwrapped
-    env.configure({"offscreen_rendering": True, "action": action})
-    env.reset(seed=0)
-    chosen = env.action_space.sample()
-    observed, reward, *_ = env.step(chosen)
-    assert env.observation_space.contains(observed) and np.isfinite(reward)
-    assert env.render().shape == (env.config["screen_height"], env.config["screen_width"], 3)
-
-
-def test_a_grid_may_have_more_than_255_cells_along_an_axis() -> None:
-    grid = {"type": "OccupancyGrid", "grid_size": [[-300, 300], [-10, 10]], "grid_step": [2, 2]}
-    env = made("replica/highway-v0", config={"observation": grid})
-    assert env.reset(seed=0)[0].shape == env.observation_space.shape == (4, 300, 10)
-
-
 # -- the vehicle ---------------------------------------------------------------------------------------------------
-
-
-def alone(**action: Any) -> Any:
-    """A steered car on a road of its own, at 15 Hz and one action a second."""
-    config = {"vehicles_count": 0, "action": {"type": "ContinuousAction", **action}, "duration": 100}
-    env = made("replica/highway-v0", config=config).unwrapped
-    env.reset(seed=0)
-    return env
-
-
-@pytest.mark.parametrize("dynamical", [False, True])
-def test_without_pedals_and_wheel_it_goes_straight_on(dynamical: bool) -> None:
-    env = alone(dynamical=dynamical)
-    x, y = env.vehicle.position
-    env.step([0.0, 0.0])
-    env.step([0.0, 0.0])
-    assert env.vehicle.position == pytest.approx([x + 2 * 25.0, y])
-    assert (env.vehicle.speed, env.vehicle.heading) == pytest.approx((25.0, 0.0))
-
-
-def test_a_car_brakes_until_it_stands() -> None:
-    env = alone(acceleration_range=[-6, 6], speed_range=[0, 30])
-    for _ in range(15):
-        env.step([max(-1.0, -env.vehicle.speed / 6), 0.0])
-    assert env.vehicle.speed == pytest.approx(0.0, abs=0.01)
 
 
 # -- several learning cars -----------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import math
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -18,7 +17,6 @@ from highway_env.envs import RoundaboutEnv, TwoWayEnv
 from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
-from experiments.backends import make_env
 from sumo_env.config import ignore
 from sumo_env.replica.env import ReplicaEnv
 from tests.tasks import every_task
@@ -217,31 +215,6 @@ def test_a_batch_drives_the_episodes_of_single_environments(
 
 
 # -- the type of action --------------------------------------------------------------------------------------------
-
-
-def test_the_ids_that_highway_env_calls_out_of_date_warn() -> None:
-    for id in (*sumo_env.REPLICA_IDS, sumo_env.FAST_ID, *sumo_env.LATER_IDS):
-        said = []
-        for name in (id, id.removeprefix("replica/")):
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
-                gym.make(name)
-            said.append(
-                [
-                    str(one.message).replace(f"{name} ", "")
-                    for one in caught
-                    if "out of date" in str(one.message)
-                ]
-            )
-        assert said[0] == said[1], id
-
-
-@every_task
-def test_the_study_makes_its_environments_by_task_and_variant_and_never_warns(task: str) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        env: Any = make_env("replica", task, {"variant": "v0"}).unwrapped
-    assert env.replica.variant == "v0" and env.observation_type.features
 
 
 def test_copies_and_scenarios_go_on_as_the_original() -> None:

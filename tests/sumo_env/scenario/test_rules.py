@@ -262,14 +262,6 @@ def test_a_red_light_that_turns_green_as_the_ego_passes_is_not_run(tmp_path: Pat
         assert not env.step(IDLE)[4]["red_light"]
 
 
-def test_a_file_of_the_same_edges_is_driven_by_its_own_vehicle(tmp_path: Path) -> None:
-    net = road(tmp_path, "")
-    flow = route_file(tmp_path, '<flow id="f" begin="0" end="60" period="4"><route edges="ab bc"/></flow>')
-    env = SumoDrivingEnv(net, flow, ego_vehicle="f.3")
-    env.reset(seed=0)
-    assert len(env.scene) >= 3 and env.step(IDLE)[4]["speed"] > 5.0
-
-
 # -- arrival -------------------------------------------------------------------------------------------------------
 
 

@@ -122,16 +122,6 @@ def test_closing_the_window_ends_the_episode_and_the_next_one_has_none() -> None
     env.close()
 
 
-def test_a_window_that_is_closed_between_episodes_is_left_closed() -> None:
-    env: Any = DrivingEnv("two-way", live="sumo-gui", sumo_options=HURRIED)
-    env.reset(seed=0)
-    os.kill(window_of(env), signal.SIGTERM)
-    with pytest.warns(UserWarning, match="SUMO's window was closed"):
-        env.reset(seed=1)
-    assert not env.step(IDLE)[3]
-    env.close()
-
-
 def test_a_window_ends_with_a_worker_that_is_killed() -> None:
     env: Any = DrivingEnv("two-way", live="sumo-gui")
     env.reset(seed=0)

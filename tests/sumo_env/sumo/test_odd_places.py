@@ -54,16 +54,6 @@ def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
     assert [path.name for path in folder.iterdir()] == ["sumo_env"]
 
 
-@pytest.mark.parametrize("file", ["u-turn", NAME])
-def test_a_network_may_be_anywhere(file: str, tmp_path: Path) -> None:
-    """It is named from the working folder."""
-    folder = tmp_path / NAME
-    folder.mkdir()
-    shutil.copy(network("u-turn").net_file, folder / f"{file}.net.xml")
-    first, second, in_a_worker = python("-c", DRIVE, f"{file}.net.xml", cwd=folder).splitlines()
-    assert first == second and in_a_worker == "True"
-
-
 def test_without_a_folder_for_links_the_folders_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
-from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, NO_RIGHT_OF_WAY, OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.scenario import Scenario
@@ -196,18 +195,3 @@ def test_on_a_free_road_a_driver_accelerates_as_idm_does(simulator: SumoSimulato
     with_regular_exponent = driver.accel * (1.0 - (18.0 / 24.0) ** 4.0) * 0.1
     assert gained == pytest.approx(expected, rel=0.02)
     assert gained != pytest.approx(with_regular_exponent, rel=0.02)
-
-
-@every_task
-def test_vehicles_are_in_the_modes_of_their_task(simulator: SumoSimulator, task: str) -> None:
-    """Vehicles are not told what SUMO's default is; it has to be that."""
-    setting = get_task(task).calibration
-    scenario = draw(task, 3)
-    scene = simulator.reset(scenario)
-    right_of_way = REGULAR if setting.waits_for_approaching else NO_RIGHT_OF_WAY
-    specs = {spec.id: spec for spec in scenario.specs} | {s.vehicle.id: s.vehicle for s in scenario.spawns}
-    for name in scene.ids[1:]:
-        own = specs[name].changes_lanes and setting.lane_changes
-        assert libsumo.vehicle.getSpeedMode(name) == right_of_way
-        mode = OWN_LANE_CHANGES if own else COMMANDED_LANE_CHANGES
-        assert libsumo.vehicle.getLaneChangeMode(name) == mode

@@ -96,25 +96,6 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
     assert opened(tmp_path / "episode" / "episode.sumocfg")
 
 
-@pytest.mark.parametrize(
-    ("demand", "message"),
-    [
-        (
-            '<vehicle id="v" depart="0"><route edges="ab bc"/></vehicle>',
-            "'v' has no valid route.* 'ab' and edge 'bc'",
-        ),
-        ('<trip id="v" depart="0" type="bike" from="ab" to="bc"/>', "'v' has no valid route"),
-        ('<vehicle id="v" depart="0" departLane="2"><route edges="ab"/></vehicle>', "departLane .* 'v'"),
-    ],
-)
-def test_a_route_that_a_class_may_not_drive_is_named_by_sumo(
-    tmp_path: Path, demand: str, message: str
-) -> None:
-    env = SumoDrivingEnv(build(tmp_path, LANES), route_file(tmp_path, TYPES + demand), FAR)
-    with pytest.raises(SimulatorError, match=message):
-        env.reset(seed=0)
-
-
 def test_an_ego_of_another_class_drives_where_its_class_may(tmp_path: Path) -> None:
     file = route_file(tmp_path, TYPES)
     net = build(tmp_path, LANES)

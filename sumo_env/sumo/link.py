@@ -1,4 +1,4 @@
-"""How this process starts a worker and gets a socket to it, on every system.
+"""How this process starts a worker and gets a socket to it, on every system, and messages on that socket.
 
 Where a process can hand an open socket to one that it starts, it does so. Elsewhere, as on Windows, the worker connects
 to a port of this machine that is open for this alone, and shows a key that it was given on its standard input.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hmac
 import os
+import pickle
 import secrets
 import socket
 import subprocess
@@ -22,6 +23,7 @@ INHERITS = os.name == "posix"  # whether a process can be given an open socket w
 # Whether a process that has loaded SUMO can be forked. macOS has fork, but libraries of the system may fail after it.
 FORKS = sys.platform.startswith("linux")
 KEY = 32  # bytes
+SIZE = 8  # bytes of a message's length
 PATIENCE = 1.0  # [s] between two looks at whether a worker is still alive, and for its key
 
 
@@ -37,6 +39,10 @@ def start(
         "start_new_session": True,  # Ctrl-C in the terminal is for this process alone; the same on Windows:
         "creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
     }
+    try:
+        os.getcwd()
+    except FileNotFoundError:  # somebody has deleted it, and Python does not start there
+        options["cwd"] = os.sep
     if INHERITS:
         ours, theirs = socket.socketpair()
         with theirs:  # closed here, so that reading ends when the worker does
@@ -105,3 +111,26 @@ def connect(where: str) -> socket.socket:
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     link.sendall(sys.stdin.buffer.read(KEY))
     return link
+
+
+def send(link: socket.socket, pickled: bytes) -> None:
+    """Send a message, for `receive`."""
+    link.sendall(len(pickled).to_bytes(SIZE, "big") + pickled)
+
+
+def receive(link: socket.socket) -> Any:
+    """The next message; EOFError once the other end is closed.
+
+    Not through a buffered stream: a thread that waits holds its lock, for good in a process that another one forks.
+    """
+    return pickle.loads(_exactly(link, int.from_bytes(_exactly(link, SIZE), "big")))
+
+
+def _exactly(link: socket.socket, count: int) -> bytearray:
+    data = bytearray(count)
+    rest = memoryview(data)
+    while rest:
+        if not (size := link.recv_into(rest)):
+            raise EOFError("the other end is closed")
+        rest = rest[size:]
+    return data

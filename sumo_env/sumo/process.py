@@ -22,7 +22,6 @@ import threading
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from typing import Any, ClassVar, NoReturn, TypeVar
 
 import cloudpickle
@@ -32,6 +31,7 @@ from sumo_env.scene import Scene, same
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo import link
 from sumo_env.sumo.options import LIVE, check_copyable
+from sumo_env.sumo.proxy import tell_of_libsumo
 from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
 
@@ -75,6 +75,8 @@ class SumoProcess:
         self._episode = ""  # for error messages
         self._calls: list[tuple[str, tuple[Any, ...]]] = []  # what the episode was made of, from its reset on
         self._scene: Scene | None = None
+        self._lock = threading.RLock()  # of a request and its answer
+        _processes.add(self)
 
     @property
     def pid(self) -> int | None:
@@ -87,10 +89,11 @@ class SumoProcess:
         Raises:
             SimulatorDied: the new worker has died as well.
         """
-        try:
-            return self._begin(scenario)
-        except (SimulatorDied, WindowClosed):  # perhaps between two episodes
-            return self._begin(scenario)
+        with self._lock:
+            try:
+                return self._begin(scenario)
+            except (SimulatorDied, WindowClosed):  # perhaps between two episodes
+                return self._begin(scenario)
 
     def _begin(self, scenario: Scenario) -> Scene:
         name = self._name or (SIMULATOR if scenario.traffic is None else FILE_SIMULATOR)
@@ -100,7 +103,7 @@ class SumoProcess:
         if self._host is None:
             here = self._may_be_here and not self._live and _Here.take(name, self._options)
             if self._may_be_here and not self._live and not here and name == FILE_SIMULATOR:
-                _warn_of_libsumo()
+                tell_of_libsumo()
             options = (LIVE, *self._options) if self._live else self._options
             self._adopt(here or _Worker.start(name, options))
         self._calls = []
@@ -117,20 +120,23 @@ class SumoProcess:
         Raises:
             SimulatorDied: the worker has died, or has not answered in time.
         """
-        step: Step = self._ask("step", commands, trace)
-        self._scene = step.scene
-        return step
+        with self._lock:
+            step: Step = self._ask("step", commands, trace)
+            self._scene = step.scene
+            return step
 
     def imagine(self, scenario: Scenario) -> None:
         """See `Simulator.imagine`."""
-        self._ask("imagine", scenario)
+        with self._lock:
+            self._ask("imagine", scenario)
 
     def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo, such as ``vehicle.getSpeed``, in the simulation of this simulator."""
-        value = self._ask("call", path, arguments, named)
-        if path.rpartition(".")[2].startswith("get"):
-            self._calls.pop()  # a copy need not ask again
-        return value
+        with self._lock:
+            value = self._ask("call", path, arguments, named)
+            if path.rpartition(".")[2].startswith("get"):
+                self._calls.pop()  # a copy need not ask again
+            return value
 
     def clone(self) -> SumoProcess:
         """A simulator in the same state.
@@ -142,18 +148,22 @@ class SumoProcess:
         """
         check_copyable(self._options)
         twin = SumoProcess(self._name, self._options)
-        if self._episode:
-            forks = link.FORKS and not self._live
-            if isinstance(self._talk(lambda host: host), _Here) and forks:
-                self._move_out()
-            if forks:
-                twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
-            else:
-                twin._adopt(self._driven_again())
-            twin._running = self._running
-            twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
+        with self._lock:
+            if self._episode:
+                self._copy_into(twin)
         twin._may_be_here = self._may_be_here
         return twin
+
+    def _copy_into(self, twin: SumoProcess) -> None:
+        forks = link.FORKS and not self._live
+        if isinstance(self._talk(lambda host: host), _Here) and forks:
+            self._move_out()
+        if forks:
+            twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
+        else:
+            twin._adopt(self._driven_again())
+        twin._running = self._running
+        twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
 
     def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
         return self.clone()
@@ -239,19 +249,6 @@ class SumoProcess:
             raise
 
 
-@cache
-def _warn_of_libsumo() -> None:
-    """Once in a process, where people drive files of their own, and never as an error."""
-    told = (
-        "this process has several environments on SUMO: calls such as libsumo.vehicle.getSpeed(...) read the first "
-        "one; env.unwrapped.sumo.vehicle.getSpeed(...) asks an environment's own SUMO"
-    )
-    try:
-        logger.warn(told)
-    except UserWarning:  # by a filter of the user's
-        print(told, file=sys.stderr)
-
-
 class _Here:
     """The simulation of this process, which one at a time may take."""
 
@@ -294,8 +291,7 @@ class _Worker:
     def __init__(self, pid: int, ours: socket.socket, child: subprocess.Popen[bytes] | None = None) -> None:
         self.pid, self._child = pid, child  # a copy is a child of the worker that has made it
         self._owner = os.getpid()
-        self._socket, self._stream = ours, ours.makefile("rb")
-        _workers.add(self)
+        self._socket = ours
 
     @classmethod
     def start(cls, simulator: str, options: tuple[str, ...]) -> _Worker:
@@ -321,13 +317,13 @@ class _Worker:
     def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> Any:
         """The answer to a request: an exception or None, and a value."""
         self._send(command, arguments, timeout)
-        return pickle.load(self._stream)
+        return link.receive(self._socket)
 
     def _send(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> None:
         # kinds of events may be classes of the user's script, which the worker does not import
         own = any(isinstance(one, Scenario) and one.has_own_kinds for one in arguments)
         self._socket.settimeout(timeout)
-        self._socket.sendall((cloudpickle if own else pickle).dumps((command, arguments), 5))
+        link.send(self._socket, (cloudpickle if own else pickle).dumps((command, arguments), 5))
 
     def death(self, error: Exception) -> str:
         """How the worker has ended, given the error that `exchange` has met."""
@@ -355,7 +351,7 @@ class _Worker:
                 self._is_gone(GRACE)
             if self._child is not None:
                 self._child.wait()
-        self.disconnect()
+        self._socket.close()
 
     forget = end
 
@@ -371,11 +367,6 @@ class _Worker:
             pass
         return True
 
-    def disconnect(self) -> None:
-        """Close the socket."""
-        self._stream.close()
-        self._socket.close()
-
 
 def _signal(number: int) -> str:
     """The name of a signal; those for real time have none."""
@@ -384,13 +375,18 @@ def _signal(number: int) -> str:
     return f"signal {number}"
 
 
-_workers: weakref.WeakSet[_Worker] = weakref.WeakSet()
+_processes: weakref.WeakSet[SumoProcess] = weakref.WeakSet()
 
 
 def _disconnect_all() -> None:
-    """In a forked process: the workers are the parent's, and end when the last of these sockets is closed."""
-    for worker in _workers:
-        worker.disconnect()
+    """In a forked process: the workers are the parent's, and end when the last of these sockets is closed.
+
+    So are the threads that may hold a lock.
+    """
+    for process in _processes:
+        process._lock = threading.RLock()
+        if isinstance(process._host, _Worker):
+            process._host._socket.close()
 
 
 if hasattr(os, "register_at_fork"):

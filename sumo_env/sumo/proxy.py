@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
+
+from gymnasium import logger
 
 # Functions that would end the episode behind the environment's back.
 REFUSED = {
@@ -52,3 +56,16 @@ def plain(value: Any) -> Any:
     return SimpleNamespace(
         **{name: plain(item) for name in names if not callable(item := getattr(value, name))}
     )
+
+
+@cache
+def tell_of_libsumo() -> None:
+    """Once in a process, where people drive files of their own, and never as an error."""
+    told = (
+        "this process has several environments on SUMO: calls such as libsumo.vehicle.getSpeed(...) read the first "
+        "one; env.unwrapped.sumo.vehicle.getSpeed(...) asks an environment's own SUMO"
+    )
+    try:
+        logger.warn(told)
+    except UserWarning:  # by a filter of the user's
+        print(told, file=sys.stderr)

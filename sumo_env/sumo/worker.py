@@ -18,7 +18,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo.link import FORKS, connect
+from sumo_env.sumo.link import FORKS, connect, receive, send
 
 
 def make(name: str, options: tuple[str, ...]) -> Any:
@@ -29,23 +29,22 @@ def make(name: str, options: tuple[str, ...]) -> Any:
 
 def serve(link: socket.socket, name: str, options: tuple[str, ...]) -> None:
     """Answer requests on a socket until the client has closed its end, or has died."""
-    stream, simulator, is_copy = link.makefile("rb"), None, False
+    simulator, is_copy = None, False
     with suppress(EOFError, OSError):
         while True:
-            command, arguments = pickle.load(stream)
+            command, arguments = receive(link)
             if command == "fork":
                 copied = fork(link)
                 if copied is not None:
-                    stream.close()
                     link.close()
-                    link, stream, is_copy = copied, copied.makefile("rb"), True
+                    link, is_copy = copied, True
                 continue
             try:
                 simulator = simulator or make(name, options)
                 answer = pickle.dumps((None, getattr(simulator, command)(*arguments)), 5)
             except Exception as error:
                 answer = pickle.dumps((portable(error), None), 5)
-            link.sendall(answer)
+            send(link, answer)
     if simulator is not None and not is_copy:  # a copy has nothing of its own to close
         simulator.close()
 

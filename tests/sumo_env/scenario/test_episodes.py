@@ -382,9 +382,9 @@ def test_one_warning_says_what_libsumo_reads(
     town: Path, filter: Any, warned: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Where files are of one's own; a filter that makes errors of warnings ends no episode."""
-    from sumo_env.sumo import process
+    from sumo_env.sumo import proxy
 
-    process._warn_of_libsumo.cache_clear()
+    proxy.tell_of_libsumo.cache_clear()
     tasks = [DrivingEnv("u-turn") for _ in range(2)]
     envs = [SumoDrivingEnv(town, ego_vehicle="ego") for _ in range(2)]
     with warnings.catch_warnings(record=True) as caught:

@@ -70,6 +70,9 @@ class FakeSimulator:
     def imagine(self, scenario: Scenario) -> None:
         pass
 
+    def call(self, path: str, arguments: tuple[()], named: dict[str, object]) -> str:
+        return path
+
     def close(self) -> None:
         pass
 

@@ -161,7 +161,7 @@ def test_a_silent_worker_is_killed(simulator: SumoProcess) -> None:
 
 
 REQUESTS: dict[str, tuple[Any, Callable[[SumoProcess], Any]]] = {
-    "load": (pickle, lambda simulator: simulator.step({"ego": COMMAND})),
+    "recv_into": (socket.socket, lambda simulator: simulator.step({"ego": COMMAND})),
     "recv_fds": (socket, lambda simulator: simulator.clone()),
 }
 
@@ -183,6 +183,43 @@ def test_an_interrupted_request_ends_the_episode(simulator, monkeypatch, reading
     with pytest.raises(SimulatorDied, match="has ended; call reset"):
         simulator.step({"ego": COMMAND})
     assert simulator.reset(scenario()).time == 0.0
+
+
+# -- threads and forks -------------------------------------------------------------------------------------
+
+
+def test_threads_get_the_answers_to_their_own_requests(simulator: SumoProcess) -> None:
+    simulator.reset(scenario())
+    paths = ["vehicle.getSpeed", "vehicle.setSpeed"]
+
+    def ask(path: str) -> set[str]:
+        return {simulator.call(path, (), {}) for _ in range(200)}
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(ask, paths)) == [{path} for path in paths]
+    # a copy does again what may have changed something
+    assert [name for name, _ in simulator._calls] == ["reset", *["call"] * 200]
+    assert {arguments[0] for _, arguments in simulator._calls[1:]} == {"vehicle.setSpeed"}
+
+
+def test_a_fork_while_a_thread_waits_for_an_answer(simulator: SumoProcess) -> None:
+    """The child, in which the thread is not, begins an episode of its own."""
+    simulator.reset(scenario(HANGS))
+    simulator.timeout = 3.0  # [s]
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(simulator.step, {"ego": COMMAND})
+        while simulator._lock.acquire(blocking=False):
+            simulator._lock.release()
+        time.sleep(0.05)  # until it has asked
+        child = os.fork()
+        if not child:
+            try:
+                os._exit(round(simulator.reset(scenario(1)).x[-1]))
+            finally:
+                os._exit(9)
+        assert isinstance(waiting.exception(), SimulatorDied)
+    assert ends(child)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
 
 
 # -- the end of workers ------------------------------------------------------------------------------------

@@ -96,7 +96,7 @@ class Events:
     def __init__(
         self, session: Session, scenario: Scenario, network: Network, road: Mapping[str, Vehicle]
     ) -> None:
-        self._coming, self._count = list(reversed(scenario.events)), len(scenario.events)
+        self._coming = list(reversed(scenario.events))
         self._session, self._network, self._road = session, network, road
         self._asks_for_markings = scenario.traffic is not None
         self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
@@ -134,19 +134,14 @@ class Events:
         self._states = self._states or self._session.read(self._road)
         return self._states
 
-    def imagine(self, events: Sequence[RiskEvent]) -> None:
-        """Go on with these events; those that have begun are the same."""
-        begun = self._count - len(self._coming)
-        self._coming, self._count = list(reversed(events[begun:])), len(events)
-
     def add(self, events: Sequence[RiskEvent]) -> None:
         """Events of a vehicle that has come."""
         self._coming = sorted((*self._coming, *events), key=lambda event: event.time, reverse=True)
 
-    def replace(self, events: Sequence[RiskEvent]) -> None:
-        """Go on with these events in place of those that have not begun."""
-        self._coming = []
-        self.add(events)
+    def replace(self, events: Sequence[RiskEvent], now: float) -> None:
+        """Go on with these events in place of those after `now` [s]."""
+        self._coming = [event for event in self._coming if event.time <= now]
+        self.add([event for event in events if event.time > now])
 
     @property
     def acting(self) -> frozenset[str]:

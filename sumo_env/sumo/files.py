@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from itertools import pairwise
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -197,21 +198,25 @@ class FileSimulator(SumoSimulator):
         self._events.add(self._drawn(name, start))
 
     def _drawn(self, name: str, start: float) -> tuple[RiskEvent, ...]:
-        """The events of a vehicle from `start` [s] on; its random stream has its own name."""
+        """The events of a vehicle from `start` [s] on; its random streams have its own name."""
         scenario, traffic = self._scenario, self._traffic
         if self._road[name].is_learning or self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
             return ()
-        seed = scenario.seed if traffic.imagined is None else traffic.imagined
-        drawn = draw_events(
-            traffic.rates, scenario.risk, ((name, start),), seed, traffic.duration, f"risk events of {name}"
-        )
-        return tuple(event for event in drawn if event.time >= start)
+        laws, lifetime = ((-inf, scenario.seed), *traffic.imagined, (inf, 0)), ((name, start),)
+        events: list[RiskEvent] = []
+        for (after, seed), (until, _) in pairwise(laws):
+            drawn = draw_events(
+                traffic.rates, scenario.risk, lifetime, seed, traffic.duration, f"risk events of {name}"
+            )
+            events += [event for event in drawn if after < event.time <= until]
+        return tuple(events)
 
     def imagine(self, scenario: Scenario) -> None:
-        """Go on with other risk events in place of those that have not begun."""
+        """See `Simulator.imagine`."""
         assert scenario.traffic is not None
         self._scenario, self._traffic = scenario, scenario.traffic
-        self._events.replace([event for name in self._road for event in self._drawn(name, self._time)])
+        now, _ = scenario.traffic.imagined[-1]
+        self._events.replace([event for name in self._road for event in self._drawn(name, now)], now)
 
     # -- reading -------------------------------------------------------------------------------------------
 

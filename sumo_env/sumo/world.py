@@ -104,7 +104,7 @@ class SumoSimulator:
     def imagine(self, scenario: Scenario) -> None:
         """Go on with the risk events of this scenario that have not begun."""
         self._scenario = scenario
-        self._events.imagine(scenario.events)
+        self._events.replace(scenario.events, round(self._time, 6))
 
     def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""

@@ -291,7 +291,8 @@ class NetworkTask(Task):
 
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
         assert scenario.traffic is not None
-        return replace(scenario, traffic=replace(scenario.traffic, imagined=seed))
+        imagined = (*scenario.traffic.imagined, (now, seed))
+        return replace(scenario, traffic=replace(scenario.traffic, imagined=imagined))
 
     # -- reward and end ------------------------------------------------------------------------------------
 

@@ -114,7 +114,7 @@ class SumoTraffic:
         seed: of SUMO's random numbers; None for that of the scenario.
         measures_energy: whether SUMO is asked what the ego consumes.
         overlaps_are_crashes: whether the ego crashes where its outline touches another one that SUMO lets pass.
-        imagined: seed of the risk events after `Simulator.imagine`; None for that of the scenario.
+        imagined: of each `Simulator.imagine` its time [s], and the seed of risk events from then on.
     """
 
     options: tuple[tuple[str, str], ...]
@@ -128,7 +128,7 @@ class SumoTraffic:
     stopping: tuple[str, ...] = ()
     duration: float = 60.0
     seed: int | None = None
-    imagined: int | None = None
+    imagined: tuple[tuple[float, int], ...] = ()
     measures_energy: bool = False
     overlaps_are_crashes: bool = False
     car_type: str = ""

@@ -20,6 +20,7 @@ from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, floating_car_data, needs_sumo
 from tests.sumo_env.scenario.files import written
+from tests.sumo_env.scenario.test_oracle import fronts
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*(its outputs are off|several environments)")]
 _, IDLE, _, FASTER, SLOWER = range(5)
@@ -86,17 +87,24 @@ def test_a_copy_goes_on_with_the_same_episode(town: Path) -> None:
 
 
 def test_an_export_shows_the_episode(town: Path, tmp_path: Path) -> None:
-    env = SumoDrivingEnv(town, ego_vehicle="ego")
+    """That of the environment, of a copy that imagines twice, and after a hand-over."""
+    env = SumoDrivingEnv(town, ego_vehicle="ego", config={"risk": 1.0})
     seen(env, 1, 3)
-    scenes = seen(env, 3)
-    env.export(tmp_path)
-    recorded = floating_car_data(tmp_path / "recorded.fcd.xml")
-    times = sorted(recorded)
-    for scene in scenes:
-        cars = recorded[times[round(scene.time / 0.1)]]
-        assert cars.keys() >= set(scene.ids)
-        front = scene.x[0] + 2.5 * np.cos(scene.heading[0])
-        assert float(cars["ego"]["x"]) == pytest.approx(front, abs=0.02)
+    seen(env, 3, 5)
+    twin = env.imagine(1)
+    twin.step(1)
+    twin = twin.imagine(2)
+    env.hand_over()
+    for number, one in enumerate((env, twin)):
+        for _ in range(4):
+            one.step(1)
+        one.export(tmp_path / str(number))
+        recorded = floating_car_data(tmp_path / str(number) / "recorded.fcd.xml")
+        cars = recorded[max(recorded)]
+        assert cars.keys() == set(one.scene.ids)
+        for name, front in fronts(one.scene).items():
+            assert (float(cars[name]["x"]), float(cars[name]["y"])) == pytest.approx(front, abs=0.02)
+    assert fronts(env.scene) != fronts(twin.scene)
 
 
 # -- the ego -----------------------------------------------------------------------------------------------

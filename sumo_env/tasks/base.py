@@ -29,6 +29,7 @@ from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id
 
 MOST_VARIED = 1000.0  # largest value that `Task.varied` takes
 FACTORS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")  # never 0
+SHARES = ("not_giving_way", "ignores_approaching", "ignores_inside")  # at most 1
 TARGET_SPEEDS = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
 
 
@@ -95,6 +96,11 @@ class Task:
     def road(self, config: Config) -> Road:
         """The road of this task in highway-env's geometry."""
         raise NotImplementedError
+
+    def named_road(self, config: Config) -> tuple[Any, ...]:
+        """Name and arguments of the road, as a scenario has them."""
+        road = self.road(config)
+        return (road.name, *road.arguments)
 
     def frequency(self, config: Config) -> int:
         """Steps that are simulated per second [Hz]."""
@@ -203,14 +209,14 @@ class Task:
                 known = ", ".join(present.__dataclass_fields__)
                 raise ConfigError(f"options[{part!r}] must map some of {known} to values, not {values!r}")
             checked = {
-                key: _alike(f"options[{part!r}][{key!r}]", getattr(present, key), value, key in FACTORS)
+                key: _alike(f"options[{part!r}][{key!r}]", getattr(present, key), value, key)
                 for key, value in values.items()
             }
             setattr(task, part, replace(present, **checked))
         return task
 
     def refuse_foreign(self, scenario: Any, config: Config) -> None:
-        """A ConfigError about what is no scenario, or one of another task or with another clock."""
+        """A ConfigError about what is no scenario, or one of another task, on another road or with another clock."""
         if not isinstance(scenario, Scenario):
             raise ConfigError(f"options['scenario'] must be a Scenario, not {scenario!r}")
         policy, simulated = int(config["policy_frequency"]), int(config["simulation_frequency"])
@@ -220,6 +226,11 @@ class Task:
                 f"options['scenario'] must be of the task {self.name!r} at {simulated} and {policy} Hz, not of "
                 f"{scenario.task!r} at {scenario.simulation_frequency} and {scenario.policy_frequency} Hz "
                 "('simulation_frequency' and 'policy_frequency')"
+            )
+        theirs, ours = (scenario.net or scenario.task, *scenario.road_arguments), self.named_road(config)
+        if theirs != ours:
+            raise ConfigError(
+                f"options['scenario'] must be on the road {ours} of this environment, not on {theirs}"
             )
 
     def scenario(self, config: Config, seed: int) -> Scenario:
@@ -346,12 +357,13 @@ def speed_term(speed: float, limits: tuple[float, float] | list[float]) -> float
     return min(max(lmap(speed, limits, (0.0, 1.0)), 0.0), 1.0)
 
 
-def _alike(name: str, present: Any, value: Any, positive: bool) -> Any:
+def _alike(name: str, present: Any, value: Any, key: str) -> Any:
     """A value of the kind of the present one: True or False, a number, or a range of two numbers.
 
     Raises:
-        ConfigError: another one, a number that is negative (or 0, if it must be positive) or beyond MOST_VARIED.
+        ConfigError: another one, or numbers beyond what there can be of this key.
     """
+    positive, most = key in FACTORS, 1.0 if key in SHARES else MOST_VARIED
     if isinstance(present, bool):
         if not isinstance(value, bool | np.bool_):
             raise ConfigError(f"{name} must be True or False, not {value!r}")
@@ -362,10 +374,10 @@ def _alike(name: str, present: Any, value: Any, positive: bool) -> Any:
     if (
         len(numbers) != 1 + is_range
         or len(numbers) < len(many)
-        or not all(0.0 <= one <= MOST_VARIED and not (positive and one == 0.0) for one in numbers)
+        or not all(0.0 <= one <= most and not (positive and one == 0.0) for one in numbers)
         or numbers[0] > numbers[-1]
     ):
         what = "two rising numbers" if is_range else "a number"
         least = "(0" if positive else "[0"
-        raise ConfigError(f"{name} must be {what} in {least}, {MOST_VARIED:g}], not {value!r}")
+        raise ConfigError(f"{name} must be {what} in {least}, {most:g}], not {value!r}")
     return tuple(map(float, numbers)) if is_range else float(value)

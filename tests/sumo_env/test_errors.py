@@ -137,6 +137,7 @@ OPTIONS: list[tuple[dict[str, Any], str]] = [
     ({"risk_ranges": {"not_giving_way": [0, 1]}}, "a number"),
     ({"calibration": {"tau": math.nan}}, "a number"),
     ({"calibration": {"lane_changes": 2}}, "True or False"),
+    ({"calibration": {"ignores_inside": 1.5}}, "[0, 1]"),
     ({"calibration": {"tau": 2.0}, "scenario": None}, "either 'scenario' or"),
     ({"scenario": 3}, "a Scenario"),
 ]

@@ -96,6 +96,7 @@ class Cars:
         for env in self.envs[1:]:
             if env.config != self.first.config:  # written to
                 env.configure(self.first.config)
+            env._simulator, env._drawn_by = self.first._simulator, self.first._drawn_by
         by_type = scenario.traffic is not None and scenario.traffic.car_type
         self._known = () if by_type else (scenario.ego.id, *scenario.further)
         self.numbers, self.steps = {}, 0

@@ -139,6 +139,18 @@ def test_the_first_rows_of_a_scene_are_the_cars() -> None:
     assert seen.x[0] == scene.x[2] and sorted(seen.x) == sorted(scene.x)
     with pytest.raises(KeyError):
         scene.seen_by("v0")
+    for agent, name in env.ids.items():  # every car's environment can ask their SUMO
+        assert env.cars[agent].sumo.vehicle.getPosition(name)[1] == -env.cars[agent].scene.y[0]
+
+
+@pytest.mark.parametrize(("kind", "is_one"), [("sumo", False), ("replica", True)])
+def test_on_the_replica_all_are_paid_what_the_first_car_is(kind: str, is_one: bool) -> None:
+    """As in highway-env; on SUMO each by its own speed and lane."""
+    env = several(kind, "highway", 2)
+    env.reset(seed=0)
+    rewards = env.step({"car_0": 4, "car_1": 3})[1]
+    assert (rewards["car_0"] == rewards["car_1"]) == is_one
+    assert rewards["car_0"] == env.cars["car_0"]._reward(4)
 
 
 # -- tuples --------------------------------------------------------------------------------------------------------

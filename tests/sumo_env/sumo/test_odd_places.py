@@ -67,8 +67,11 @@ def test_without_a_folder_for_links_the_folders_are_named(
 
 
 def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> None:
-    """Nor does it matter what else is in the search path: Python skips all that is no string."""
-    odd = "import sys, pathlib; sys.executable = None; sys.path += [pathlib.Path('/tmp'), b'/tmp', None]\n"
+    """Nor does it matter what else is in the search path, or whether the working folder is still there."""
+    odd = (
+        "import os, sys, pathlib; sys.executable = None; sys.path += [pathlib.Path('/tmp'), b'/tmp', None]\n"
+    )
+    odd += "os.mkdir('/tmp/gone-%d' % os.getpid()); os.chdir('/tmp/gone-%d' % os.getpid()); os.rmdir(os.getcwd())\n"
     assert python("-c", odd + DRIVE).splitlines() == expected
 
 

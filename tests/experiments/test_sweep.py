@@ -135,6 +135,14 @@ def test_an_agent_that_diverges_fails_alone_is_named_and_is_tried_once(
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
+def test_an_agent_that_diverges_in_its_last_update_ends_no_other_cell(tmp_path, here):
+    """It is found when the weights are read for the test."""
+    assert run(tmp_path, updates=20, settings=("learning_rate=1e30", "clip_goals=false")) == 1
+    results = load(tmp_path)
+    assert {cell["key"]["kind"] for cell in results.cells.values()} == {"baseline"}
+    assert len(results.failed) == 2 and all("not finite" in why for why in results.failed.values())
+
+
 def command(directory: Path, **options) -> tuple[object, ...]:
     return ROOT / "tests/experiments/study/fake_sweep.py", directory, json.dumps({**TINY, **options})
 

@@ -105,13 +105,12 @@ def attempt(task: Task) -> Attempt:
                     task.compute(heartbeat)
             shutil.rmtree(task.folder, ignore_errors=True)
         return Attempt("done")
-    except UserError as error:
-        return Attempt("fatal", str(error))
     except Exception as error:  # whatever goes wrong in one task must not end the others
         if isinstance(error, OSError) and error.errno in DISK:
             return Attempt("fatal", str(disk_error(error, task.folder)))
-        log(task.folder, "".join(traceback.format_exception(error)))
-        reason = f"{type(error).__name__}: {error}".partition("\n")[0]
+        said = isinstance(error, UserError)
+        log(task.folder, str(error) if said else "".join(traceback.format_exception(error)))
+        reason = (str(error) if said else f"{type(error).__name__}: {error}").partition("\n")[0]
         return Attempt("lost" if isinstance(error, SURROUNDINGS) else "failed", reason)
 
 

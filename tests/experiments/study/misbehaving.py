@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import signal
 import threading
@@ -90,6 +91,10 @@ def _refuse() -> None:
     raise UserError("put this right first")
 
 
+def _fill_the_disk() -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 FAULTS = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "segfault": _segfault,
@@ -99,4 +104,5 @@ FAULTS = {
     "fail": _fail,
     "lose": _lose,
     "refuse": _refuse,
+    "full": _fill_the_disk,
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
@@ -17,6 +17,7 @@ STEP = {"sumo": 0.002, "replica": 0.001, "highway-env": 0.15}
 UPDATE, COMPILED = 0.0045, 0.0025
 LENGTH = 10  # policy steps of an episode
 EVERY = 15.0  # [s] between two lines where there is no terminal
+WINDOW = 600.0  # [s] of which the speed is taken
 
 
 def costs(cell: Cell) -> tuple[float, float]:
@@ -42,6 +43,8 @@ def duration(seconds: float) -> str:
 class ProgressDisplay(Observer):
     """Follows tasks: on a terminal in one line that changes, elsewhere in a new one now and then.
 
+    The time that is left follows from what this run has done itself in the last ten minutes.
+
     Args:
         work: folder of their working folders. costs: expected time of each [s], or another measure of its size.
         finished: tasks that were there before. kind: what they are called.
@@ -53,44 +56,54 @@ class ProgressDisplay(Observer):
         self._work, self._costs, self._kind = work, costs, kind
         self._state = {name: "finished" if name in finished else "waiting" for name in costs}
         self._shown = time.monotonic()
-        self._begun: float | None = None  # when the first of it was done: processes take a while to start
-        self._before = self._done()
-        self._over = "\r\x1b[K" if sys.stdout.isatty() else ""  # writes over the line that is there
+        self._others = set(finished)  # tasks that say nothing about this run's speed
+        self._seen: deque[tuple[float, float]] = deque()  # when, and what was done by then [s]
+        self._over = getattr(sys.stdout, "over", lambda: False)
 
     def tell(self, task: Task, state: str, words: str = "") -> None:
         """A task is in another state now."""
         self._state[task.name] = state
+        if state in ("in another run", "failed") and task.name not in self._others:
+            self._others.add(task.name)
+            self._seen.clear()
         if words:
-            print(f"{self._over}{task.name}: {words}", flush=True)
+            self._over()
+            print(f"{task.name}: {words}", flush=True)
 
     def tick(self) -> None:
         """Show how much is done; without a terminal, now and then."""
-        if self._begun is None and (done := self._done()) > self._before:
-            self._begun, self._before = time.monotonic(), done
-        if self._over:
-            print(self._over + self._line(), end="", flush=True)
-        elif time.monotonic() - self._shown >= EVERY:
-            self._shown = time.monotonic()
+        now, done = time.monotonic(), self._done(self._costs.keys() - self._others)
+        if done:  # processes take a while to start
+            self._seen.append((now, done))
+            while now - self._seen[0][0] > WINDOW:
+                self._seen.popleft()
+        if self._over():
+            print(self._line(), end="", flush=True)
+        elif now - self._shown >= EVERY:
+            self._shown = now
             print(self._line(), flush=True)
 
     def close(self) -> None:
         """Show what has come of it."""
-        print(self._over + self._line(), flush=True)
+        self._over()
+        print(self._line(), flush=True)
 
     def _line(self) -> str:
         done, total, counts = self._done(), sum(self._costs.values()), Counter(self._state.values())
         parts = [f"{counts.pop('finished', 0)}/{len(self._state)} {self._kind}"]
         if total:
             parts.append(f"{100 * done / total:.0f}%")
-        if self._begun is not None and done > self._before:
-            speed = (done - self._before) / (time.monotonic() - self._begun)
-            parts.append(f"about {duration((total - done) / speed)} left")
+        if self._seen:
+            (then, before), (now, own) = self._seen[0], self._seen[-1]
+            if own > before:
+                parts.append(f"about {duration((total - done) * (now - then) / (own - before))} left")
         return ", ".join([*parts, *(f"{number} {state}" for state, number in counts.items())])
 
-    def _done(self) -> float:
-        """Expected time of what is done [s]."""
+    def _done(self, names: Collection[str] | None = None) -> float:
+        """Expected time of what is done of these tasks, or of all [s]."""
         part = {"finished": 1.0, "failed": 1.0}
         return sum(
             cost * (fraction_done(self._work / name) if state == "running" else part.get(state, 0.0))
             for (name, state), cost in zip(self._state.items(), self._costs.values(), strict=True)
+            if names is None or name in names
         )

@@ -11,6 +11,7 @@ import pytest
 from experiments.study.compute.executors import open_executor
 from experiments.study.compute.run import run
 from experiments.study.results.working import fraction_done
+from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import Sum
 from tests.experiments.study.test_run import TOTAL, Witness, results
 
@@ -65,6 +66,24 @@ def ray():
     assert not module.is_initialized()
     yield module
     assert not module.is_initialized()
+
+
+def test_ray_joins_the_cluster_of_its_address_or_none(tmp_path, ray, monkeypatch):
+    """`ray.init` would join any cluster of the machine."""
+    asked = []
+
+    def init(address, **_):
+        asked.append(address)
+        raise ConnectionError("nobody is there\nand more")
+
+    monkeypatch.setattr(ray, "init", init)
+    monkeypatch.setenv("RAY_ADDRESS", "somewhere:6379")
+    with pytest.raises(UserError, match="RAY_ADDRESS=somewhere:6379"):
+        open_executor("ray", 2, tmp_path, 25)
+    monkeypatch.delenv("RAY_ADDRESS")
+    with pytest.raises(ConnectionError):
+        open_executor("ray", 2, tmp_path, 25)
+    assert asked == ["somewhere:6379", "local"]
 
 
 def test_ray_computes_and_retries_on_a_cluster_of_its_own(tmp_path, ray):

@@ -202,12 +202,17 @@ def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path)
 
 
 def test_a_name_does_not_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever a command prints, and however."""
+    words, shown = "\x1b]0;evil\x07 and\u202e other words", "\\x1b]0;evil\\x07 and\\u202e other words\n"
+
     def command() -> int:
-        raise UserError("\x1b]0;evil\x07 and\u202e other words")
+        print(words)
+        print(words, file=sys.stderr)
+        raise UserError(words)
 
     with pytest.raises(SystemExit):
         run_command(command)
-    assert capsys.readouterr().err == "error: \\x1b]0;evil\\x07 and\\u202e other words\n"
+    assert capsys.readouterr() == (shown, f"{shown}error: {shown}")
 
 
 @pytest.mark.parametrize("text", ["\x1b]0;evil\x07", "\u202etxt"])

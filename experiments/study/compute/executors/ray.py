@@ -1,4 +1,4 @@
-"""A Ray cluster: the one that runs already, else one of this machine that ends with the sweep."""
+"""A Ray cluster: that of RAY_ADDRESS, else one of this machine that ends with the sweep."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read when ray is import
 import ray
 
 from experiments.support import VARIABLES
+from experiments.support.errors import UserError
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -35,14 +36,23 @@ class RayExecutor(Executor):
             "log_to_driver": False,
             "logging_level": "ERROR",
         }
-        try:
-            ray.init(address="auto", **common)
-        except ConnectionError:  # none runs
+        if address := os.environ.get("RAY_ADDRESS"):
+            try:
+                ray.init(address=address, **common)
+            except Exception as error:
+                why = str(error).partition("\n")[0]
+                raise UserError(
+                    f"the Ray cluster of RAY_ADDRESS={address} cannot be joined ({why}): start it, or unset "
+                    "RAY_ADDRESS to compute on this machine alone"
+                ) from error
+        else:  # whoever else's cluster runs here
             ray.init(address="local", num_cpus=workers, include_dashboard=False, **common)
         signal.signal(signal.SIGTERM, handler)  # Ray puts its own in the place of ours
         self._call = ray.remote(num_cpus=1, max_retries=0, max_calls=tasks_per_process)(_call)
         self._references: set[Any] = set()
         self.workers = max(int(ray.cluster_resources().get("CPU", 1)), 1)  # cores of the cluster
+        where = f"the cluster of RAY_ADDRESS={address}" if address else "a cluster of this machine alone"
+        print(f"Ray computes on {where}, with {self.workers} cores", flush=True)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function in a process of the cluster."""

@@ -10,7 +10,8 @@ FILE:NAME. `agents.stable` has learners of another library.
 * ``train(make_env, settings, seed, *, progress)``: `make_env()` gives an environment whose episodes follow
   from the training's seed, whatever `reset` is given; `make_env(n)` gymnasium's vector environment of n of them, which
   share the episodes out. Traffic and rules of the training are in them. `progress` is called with environment steps.
-* ``load(path, settings, env)``: the policy of a file that `Trained.policy.save` has written.
+* ``load(path, settings, env)``: the policy of a file that `Trained.policy.save` has written. It needs no more than
+  ``act(observation)``; a ``reset(seed)`` is called when an episode begins.
 """
 
 from __future__ import annotations
@@ -25,14 +26,16 @@ import gymnasium as gym
 import numpy as np
 
 from agents.plugins import unknown
-from agents.policies import Policy
 
 MakeEnv = Callable[..., Any]  # make_env() -> gym.Env, make_env(n) -> gym.vector.VectorEnv
 T = TypeVar("T")
 
 
-class SavedPolicy(Policy, Protocol):
-    """A policy that can be written to a file (`agents.greedy.Greedy` is one)."""
+class SavedPolicy(Protocol):
+    """What can act and be written to a file (`agents.greedy.Greedy` is one)."""
+
+    def act(self, observation: np.ndarray) -> int:
+        """The action for an observation."""
 
     def save(self, path: Path) -> None:
         """Write the file that the learner's `load` reads."""
@@ -74,7 +77,7 @@ class Learner(Protocol):
             ValueError: settings or spaces that do not fit.
         """
 
-    def load(self, path: Path, settings: Any, env: gym.Env[Any, Any]) -> Policy:
+    def load(self, path: Path, settings: Any, env: gym.Env[Any, Any]) -> Any:
         """A trained policy. ValueError for the weights of another one, DamagedFile for a damaged file."""
 
 

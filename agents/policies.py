@@ -6,6 +6,7 @@ Never learnt: `agents.rules`.
 
 from __future__ import annotations
 
+import inspect
 import json
 import zipfile
 from pathlib import Path
@@ -29,14 +30,28 @@ class Policy(Protocol):
         ...
 
 
-class Stateless:
-    """A policy of an object that can only act."""
+class Seedless:
+    """A policy of an object that can act, and perhaps be reset, without a seed."""
 
     def __init__(self, actor: Any) -> None:
-        self.act = actor.act
+        self.act, self._reset = actor.act, getattr(actor, "reset", None)
 
     def reset(self, seed: int | None = None) -> None:
-        """Nothing to do."""
+        """Begin an episode."""
+        if callable(self._reset):
+            self._reset()
+
+
+def as_policy(found: Any, whose: str) -> Policy:
+    """An object that can act as a policy. Raises ValueError, which says `whose` it is, for one that cannot."""
+    if not callable(getattr(found, "act", None)):
+        raise ValueError(f"{whose} made {type(found).__name__}, which has no act(observation).")
+    try:
+        inspect.signature(found.reset).bind(0)
+    except (AttributeError, TypeError, ValueError):
+        return Seedless(found)
+    policy: Policy = found
+    return policy
 
 
 class StableBaselines:
@@ -83,7 +98,4 @@ def foreign_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     """
     if name.endswith(".zip"):
         return StableBaselines(name, env)
-    policy = load_object(name)(env)
-    if not callable(getattr(policy, "act", None)):
-        raise ValueError(f"{name} made {type(policy).__name__}, which has no act(observation).")
-    return policy if callable(getattr(policy, "reset", None)) else Stateless(policy)
+    return as_policy(load_object(name)(env), name)

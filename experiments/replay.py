@@ -78,8 +78,8 @@ def parse_case(text: str, code: str | None = None) -> Case:
     match = re.fullmatch(r"(?P<path>.+?)(:(?P<traffic>[a-z0-9-]+):(?P<scenario>\d+))?/?", text)
     if match is None:
         raise UserError(f"a case is DIR/cells/CELL[:TRAFFIC:SCENARIO], not {text!r}")
-    path = Path(match["path"])
-    store = Store(path.parents[1] if len(path.parents) > 1 else Path())
+    path = Path(match["path"]).absolute()
+    store = Store(path.parent.parent)
     names = store.finished() if path.parent.name == "cells" else []
     if not names:
         raise UserError(f"there is no cell {path}")

@@ -21,10 +21,13 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, Any
 
+import numpy as np
+import pandas as pd
 import tyro
 
 from agents.plugins import load_object
@@ -75,7 +78,7 @@ def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
     analysis = analyse(results, own)
     beside = {str(other): analyse(load(other)) for other in others}
     with writing(directory):
-        variables = page(results, analysis, beside)
+        variables = page(results, analysis, beside, own)
         write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())
         for name, table in (
             (SUMMARY, analysis.policies),
@@ -100,7 +103,27 @@ def own_outcome(name: str) -> tuple[str, Outcome]:
         raise UserError(f"{name} must be an experiments.analysis.plan.Outcome with a function `of`")
     if key in {*OUTCOMES, *COLUMNS}:
         raise UserError(f"there is an outcome or a column {key!r} already; choose another name")
-    return key, outcome
+    return key, replace(outcome, of=partial(own_values, key, outcome.of))
+
+
+def own_values(name: str, of: Callable[[pd.DataFrame], Any], episodes: pd.DataFrame) -> Any:
+    """What a user's function makes of the episodes. Raises UserError unless it is one finite number for each."""
+    try:
+        values = np.asarray(of(episodes), dtype=float)
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}".partition("\n")[0]
+        raise UserError(f"the outcome {name} cannot be computed: {why}") from error
+    if values.shape != (len(episodes),):
+        raise UserError(
+            f"the outcome {name} has the shape {values.shape}, not a number for each of {len(episodes)}"
+        )
+    for row in np.flatnonzero(~np.isfinite(values))[:1]:
+        cell, traffic, scenario = episodes.iloc[row][["cell", "traffic", "scenario"]]
+        raise UserError(
+            f"the outcome {name} is {values[row]} in scenario {scenario} of {cell} in {traffic} traffic: every episode "
+            "needs a finite number, for example 0 where nothing happened"
+        )
+    return values
 
 
 def answer(directory: Path) -> str:

@@ -25,7 +25,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import pandas as pd
@@ -68,6 +68,9 @@ class Options(Experiment):
     def directory(self) -> Path:
         """Where the results go."""
         return self.out or Path("results") / f"{self.backend}-{self.preset}"
+
+
+LISTS = {f"--{one.name.replace('_', '-')}" for one in fields(Options) if isinstance(one.default, tuple)}
 
 
 def sweep(
@@ -179,7 +182,7 @@ def split_arguments(arguments: Iterable[str]) -> list[str]:
         if word.startswith("--"):
             name, *given = word.split("=", 1)
         else:
-            given = [word] if set("/=") & set(word) else word.split(",")
+            given = [word] if name not in LISTS or set("/=") & set(word) else word.split(",")
         values.setdefault(name, []).extend(given)
     return [word for name, given in values.items() for word in ([name] if name else []) + given]
 

@@ -106,6 +106,8 @@ def scenario_of(table: pd.DataFrame, options: Options) -> tuple[int, str]:
 def watch(options: Options) -> int:
     """Do what the options ask for; returns the exit status."""
     check_film(options.out, ".gif", ".mp4")
+    if options.scenario is not None and options.scenario < 0:
+        raise UserError(f"--scenario counts from 0, not {options.scenario}")
     name = chosen(options.directory, options.agent)
     store = Store(options.directory)
     scenario, rule = scenario_of(store.tables(name)[EPISODES], options)

@@ -128,7 +128,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         plan=plan_data,
         plan_hash=sha256_bytes(canonical_json(plan_data).encode()),
         notes={
-            "missing": [name for name in results.expected if name not in results.cells],
+            "missing": [n for n in results.expected if n not in {**results.cells, **results.failed}],
             "failed": dict(results.failed),
             "damaged": dict(results.damaged),
             "left_out": left_out,

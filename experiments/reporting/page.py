@@ -19,7 +19,7 @@ from experiments.analysis.claims import CONTRADICTED, all_hold
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
-from experiments.analysis.plan import ALPHA, Plan, plan_of
+from experiments.analysis.plan import ALPHA, Outcome, Plan, plan_of
 from experiments.analysis.scores import with_outcomes
 from experiments.reporting import by_task, figures, tables
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
@@ -35,16 +35,24 @@ LARGEST = 10_000_000  # bytes of a film
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
 
-def page(results: Results, analysis: Analysis, others: Mapping[str, Analysis]) -> dict[str, Any]:
+def page(
+    results: Results,
+    analysis: Analysis,
+    others: Mapping[str, Analysis],
+    own: Mapping[str, Outcome] | None = None,
+) -> dict[str, Any]:
     """The templates' variables.
 
     Args:
-        others: analyses of further folders to compare with this one, by name.
+        others: analyses of further folders to compare with this one, by name. own: outcomes of the user's own in it.
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
     return {
         "smoke": "smoke" in analysis.provenance["presets"],
-        "backends": [backend(name, results, analysis) for name in names],
+        "backends": [
+            {**backend(name, results, analysis), "own": tables.own(analysis, name, own or {})}
+            for name in names
+        ],
         "films": films(results.directory),
         "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,

@@ -17,7 +17,7 @@ from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import OWN
 from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
-from experiments.analysis.plan import OUTCOMES
+from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.analysis.scores import TASK_ORDER
 from experiments.study.design.arms import ARMS, PAIRS
 from experiments.study.design.traffic import TRAFFICS, UNSEEN
@@ -54,25 +54,30 @@ def plain(value: float | None, digits: int, signed: bool = False) -> str:
     return text.replace("-", MINUS)
 
 
-def number(value: float | None, outcome: str) -> str:
+def kind_of(outcome: str | Outcome) -> Outcome:
+    """An outcome of the report by its name, or one of the user's own."""
+    return outcome if isinstance(outcome, Outcome) else KINDS[outcome]
+
+
+def number(value: float | None, outcome: str | Outcome) -> str:
     """A mean of an outcome with the digits it deserves; shares in per cent ("12.5 %")."""
     text = points(value, outcome, signed=False)
-    return text + (" %" if KINDS[outcome].percent and text != NONE else "")
+    return text + (" %" if kind_of(outcome).percent and text != NONE else "")
 
 
-def points(value: float | None, outcome: str, signed: bool = True) -> str:
+def points(value: float | None, outcome: str | Outcome, signed: bool = True) -> str:
     """A difference with its sign; of shares in points ("-15.7")."""
-    kind = KINDS[outcome]
+    kind = kind_of(outcome)
     return plain(None if value is None else value * (100 if kind.percent else 1), kind.digits, signed)
 
 
-def interval(row: Mapping[str, Any], outcome: str) -> str:
+def interval(row: Mapping[str, Any], outcome: str | Outcome) -> str:
     """The interval of a row, "[-7.0, +0.8]", or an empty text."""
     low, high = row["low"], row["high"]
     return "" if low is None or np.isnan(low) else f"[{points(low, outcome)}, {points(high, outcome)}]"
 
 
-def effect(row: Mapping[str, Any], outcome: str = "crashed") -> str:
+def effect(row: Mapping[str, Any], outcome: str | Outcome = "crashed") -> str:
     """An estimated difference and its interval, "-3.1 [-7.0, +0.8]"."""
     status = {"one seed": "(no interval)", "no information": "(everybody crashes)"}.get(row["status"], "")
     return " ".join(filter(None, [points(row["estimate"], outcome), interval(row, outcome) or status]))
@@ -231,6 +236,22 @@ def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
         return {title: effect(row, outcome), **tested, "agents": agents}
 
     return wide(with_setting(chosen(main(analysis.effects, backend), outcome=outcome)), ["setting"], cells)
+
+
+def own(analysis: Analysis, backend: str, outcomes: Mapping[str, Outcome]) -> pd.DataFrame:
+    """Outcomes of the user's own, from control to treated agents: by task, and over all tasks if they are poolable."""
+    rows = chosen(main(analysis.means, backend), outcome=list(outcomes), term=list(TRAFFICS))
+    rows = chosen(rows, scope=[ALL_TASKS, *TASK_ORDER])
+
+    def cells(row: Mapping[str, Any]) -> dict[str, str]:
+        kind = outcomes[row["outcome"]]
+        pair = " → ".join(number(row[side], kind) for side in ("mean_against", "mean_arm"))
+        return {f"{row['term']} traffic": pair, f"difference, {row['term']}": effect(row, kind)}
+
+    titles = {name: " ".join(filter(None, [one.label, one.unit])) for name, one in outcomes.items()}
+    return (
+        wide(rows, ["outcome", "scope"], cells).replace({"outcome": titles}).rename(columns={"scope": "task"})
+    )
 
 
 def further(analysis: Analysis, backend: str) -> pd.DataFrame:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterable
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
-from sumo_env.config import did_you_mean
+from sumo_env.config import did_you_mean, nearest
 
 PAGE = "https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_Routes.html"
 TYPES = "data/xsd/types"  # of the package sumo-data, which libsumo installs
 _XSD = "{http://www.w3.org/2001/XMLSchema}"
+_MODEL = "carFollowing-"  # how elements with the parameters of a model begin
 
 
 @cache
@@ -37,15 +38,27 @@ def _known() -> set[str]:
     }
 
 
-def check_attributes(name: str, attributes: Iterable[str]) -> None:
-    """That SUMO knows these attributes of the vehicle type `name`: it ignores unknown ones without a word.
+def _models() -> set[str]:
+    """Car-following models; empty without a schema, in which two of them are missing."""
+    parts = {name for names in schema("route").values() for name in names}
+    found = {name.removeprefix(_MODEL) for name in parts if name.startswith(_MODEL)}
+    return found | {"Rail", "KraussX"} if found else found
 
-    Wrong values it refuses itself when an episode begins.
+
+def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
+    """That SUMO knows these attributes of the vehicle type `name`, which it would ignore, and its model.
+
+    Other wrong values it refuses itself when an episode begins.
 
     Raises:
         ValueError: it does not; the message names the nearest one.
     """
-    known = _known()
+    known, models = _known(), _models()
+    model = str(attributes.get("carFollowModel", "Krauss"))
+    if models and model not in models:
+        raise ValueError(
+            f"{name!r} has the carFollowModel {model!r}, which SUMO does not have: {nearest(model, models)}"
+        )
     for attribute in attributes if known else ():
         if attribute not in known:
             raise ValueError(

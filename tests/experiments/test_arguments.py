@@ -100,6 +100,24 @@ def test_a_repeated_option_adds_values():
     assert split_arguments(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
 
 
+def test_a_comma_separates_what_is_a_list():
+    words = ["--tasks", "highway,u-turn", "--out", "a,b"]
+    assert split_arguments(words) == ["--tasks", "highway", "u-turn", "--out", "a,b"]
+
+
+@pytest.mark.parametrize(
+    ("option", "asked"),
+    [
+        ("--tasks highway", {"tasks": ("highway", "u-turn"), "levels": (4,)}),
+        ("--test-on sumo", {"test_on": ("sumo", "replica")}),
+        ("--pairs", {"pairs": True, "seeds": 1}),
+    ],
+)
+def test_an_option_that_asks_for_nothing_is_an_error(option, asked):
+    with pytest.raises(UserError, match=f"{option} asks for nothing"):
+        cells_of(Options(preset="smoke", **asked))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments", [["--seeds", "1.5"], ["--preset", "quik"], ["--out", "/proc/none/results"]], ids=" ".join

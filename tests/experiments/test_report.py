@@ -236,8 +236,9 @@ class TestIncomplete:
             cell.name for cell in cells if cell.kind == "agent" and (cell.arm, cell.seed) == ("treatment", 1)
         ]
         (tmp_path / "cells" / f"{name}.parquet").write_bytes(b"no table")
-        page = Page(report.write_report(tmp_path).read_text())
-        assert "cannot be read and are not counted" in page.text and name in page.text
+        text = report.write_report(tmp_path).read_text()
+        assert "cannot be read and are not counted" in Page(text).text and name in Page(text).text
+        assert "&lt;" not in text  # the page's own tags
 
 
 @pytest.mark.usefixtures("words_alone")
@@ -261,6 +262,10 @@ OWN = """
 from experiments.analysis.plan import Outcome
 waiting = Outcome("Time at a standstill", "share", better=-1, digits=3, of=lambda episodes: episodes["stopped"])
 nothing = Outcome("Nothing", "", better=0, digits=1)
+closing = Outcome("Closing speed", "m/s", -1, 1, of=lambda episodes: episodes["crash_closing_speed"])
+few = Outcome("Few", "", 0, 1, of=lambda episodes: [1.0])
+words = Outcome("Words", "", 0, 1, of=lambda episodes: episodes["traffic"])
+absent = Outcome("Absent", "", 0, 1, of=lambda episodes: episodes["absent"])
 crashed = waiting
 """
 
@@ -283,6 +288,25 @@ def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
     assert "waiting" in set(after.means["outcome"]) and "waiting" in after.policies
     again = analyse(load(tmp_path))
     pd.testing.assert_frame_equal(again.effects, before.effects)
+    report.write_report(tmp_path, own={name: outcome})
+    for page in (report.REPORT, report.TEXT):
+        assert "Time at a standstill share" in (tmp_path / page).read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("closing", r"closing is nan in scenario \d+ of"),
+        ("few", "few has the shape"),
+        ("words", "words cannot be computed: ValueError"),
+        ("absent", "absent cannot be computed: KeyError"),
+    ],
+)
+def test_an_outcome_that_is_no_number_for_each_episode_is_refused(name, message, tmp_path):
+    (tmp_path / "mine.py").write_text(OWN)
+    synthetic.write(tmp_path, {"u-turn": (1,)}, tests=6)
+    with pytest.raises(UserError, match=message):
+        report.write_report(tmp_path, own=dict([report.own_outcome(f"{tmp_path}/mine.py:{name}")]))
 
 
 @pytest.mark.parametrize(

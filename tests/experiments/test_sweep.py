@@ -375,7 +375,11 @@ class Guess:
         return Trained(policy, {k: np.array(v) for k, v in log.items()}, {"steps": steps, "updates": 0})
 
     def load(self, path, settings, env):
-        return Greedy.load(path, network(env, settings.scale))
+        return Acts(Greedy.load(path, network(env, settings.scale)))
+
+class Acts:
+    def __init__(self, policy):
+        self.act = policy.act
 """
 
 

@@ -200,7 +200,7 @@ class Twice(Highway):
         return [VehicleSpec._replace(spec, id=self.id) for spec in super().vehicles(*arguments)]
 
 
-def attributes(**given: float) -> Callable[[], Any]:
+def attributes(**given: object) -> Callable[[], Any]:
     """A vehicle type with these attributes of SUMO's."""
     return lambda: drivers("highway", 0.0)[0].like("odd", given)
 
@@ -252,6 +252,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (attributes(acell=2.0), ValueError, "'accel'"),
     (attributes(maxspeed=2.0), ValueError, "'maxSpeed'"),
     (attributes(zzz=2.0), ValueError, "see https"),
+    (attributes(carFollowModel="W98"), ValueError, "'W99'"),
     (attributes(speedFactor=2.0), ValueError, "no effect"),
     (attributes(length=200.0), ValueError, "length"),
     # options of SUMO

@@ -10,7 +10,7 @@ import gymnasium as gym
 
 from agents.files import DamagedFile
 from agents.plugins import foreign
-from agents.policies import Policy, foreign_policy
+from agents.policies import Policy, as_policy, foreign_policy
 from agents.rules import make_policy
 from experiments.study.compute.wrappers import observed, weighed
 from experiments.study.design.grid import learner_of
@@ -50,7 +50,7 @@ def driver(
         return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
     env = observed(env, TrainingRules.of(key["profile"]))
     learner, settings = learner_of(key, source)
-    agent = learner.load(weights, settings, env)
+    agent = as_policy(learner.load(weights, settings, env), f"load of the learner {key['policy']}")
     if second is None:
         return env, agent
     from agents.belief import Weighed  # here: not every command needs torch

@@ -1,10 +1,10 @@
 """The arms of the experiment, in one table, and which scenarios agents meet in training and test.
 
 A scenario is a seed given to ``env.reset``. Training scenarios have seeds below 2**32 (`training_seed`,
-`agents.streams.episode_seed`), test scenarios have seeds of 2**32 and above: the two sets are disjoint by
-construction. A test scenario depends on the task, the level and its number alone, so all arms, training
-seeds, policies and both simulators are tested on the same ones. Regular and risky tests share their seeds:
-the same cars stand in the same places, with other drivers.
+`agents.streams.episode_seed`), test scenarios have seeds of 2**32 and above: no seed is in both sets. (A reset draws
+31 bits from its seed, so that two seeds give one scenario with a chance of 1 in 2**31.) A test scenario depends on the
+task, the level and its number alone, so all arms, training seeds, policies and both simulators are tested on the same
+ones. Regular and risky tests share their seeds: the same cars stand in the same places, with other drivers.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from experiments.study.design.grid import (
 )
 from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
-from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
+from experiments.study.design.traffic import BETWEEN, TRAFFICS, UNSEEN, traffic_named, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
 from sumo_env.tasks import TASKS
 
@@ -135,7 +135,22 @@ class Experiment:
             for label, (source, digits) in policies.items():
                 profile = {**common.profile, "policy_sha256": digits}
                 cells.append(replace(common, policy=label, source=source, profile=profile))
+        for option, is_answered in self._answers(cells):
+            if not is_answered:
+                raise UserError(f"{option} asks for nothing here: leave it out")
         return cells
+
+    def _answers(self, cells: Sequence[Cell]) -> Iterator[tuple[str, bool]]:
+        """What is asked for by name, and whether there is a cell of it."""
+        tests = [cell for cell in cells if cell.kind == "test"]
+        for task in self.tasks:
+            yield f"--tasks {task}", any(cell.task == task for cell in cells)
+        for name in self.test_on:
+            yield f"--test-on {name}", any(cell.runs_on == name != self.backend for cell in tests)
+        if self.unseen:
+            yield "--unseen", any(set(cell.tested["traffics"]) <= set(UNSEEN) for cell in tests)
+        if self.pairs:
+            yield "--pairs", any(cell.pair for cell in tests)
 
     def _common(self, task: str, level: int, dynamics: Dynamics) -> Cell:
         """What the cells of a task and level have in common, as a baseline without a policy."""
@@ -192,8 +207,8 @@ class Experiment:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
         if set(self.arms) & set(BETWEEN) and agent.arm in DOSE_ARMS:
             yield _tested(agent, BETWEEN)
-        if self.unseen:
-            yield _tested(agent, unseen_traffics(agent.task, self.backend))
+        if self.unseen and (unseen := unseen_traffics(agent.task, self.backend)):
+            yield _tested(agent, unseen)
         if self.traffics:
             further = {name: traffic_named(name) for name in self.traffics}
             if self.backend != "sumo" and any(traffic.is_of_sumo for traffic in further.values()):

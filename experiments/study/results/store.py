@@ -312,8 +312,8 @@ def find_cell(word: str, names: Sequence[str]) -> str:
     fitting = fitting or [name for name in names if name.startswith(word)]
     if len(fitting) == 1:
         return fitting[0]
-    hint = did_you_mean(word, fitting or names)
-    raise UserError(f"{len(fitting)} of {len(names)} cells begin with {word!r}, not one; {hint}")
+    hint = did_you_mean(word, fitting or names) or "write more of its name"
+    raise UserError(f"{len(fitting)} of {len(names)} cells begin with {word!r}, not one: {hint}")
 
 
 # Columns of the key that every table of `Results` carries.

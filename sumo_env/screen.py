@@ -17,7 +17,6 @@ from sumo_env.traffic.scenario import Scenario
 if TYPE_CHECKING:
     from gymnasium.wrappers import RecordVideo
 
-    from sumo_env.rendering import Renderer
     from sumo_env.window import Window
 
 
@@ -28,7 +27,6 @@ class OnScreen(ReadAsHighwayEnv):
     render_mode: str | None
     scenario: Scenario | None
     task: Task
-    _renderer: Renderer | None = None
     _video: RecordVideo[Any, Any] | None = None
     _window: Window | None = None  # of render mode "human"
     _action_name = ""  # of the last meta-action of this episode
@@ -44,16 +42,14 @@ class OnScreen(ReadAsHighwayEnv):
             return None
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before render()")
-        if self._renderer is None:
-            from sumo_env.rendering import Renderer  # Pillow is imported when the first picture is drawn
+        from sumo_env import rendering  # Pillow is imported when the first picture is drawn
 
-            self._renderer = Renderer()
         road, time = self.task.road(self.config), self.scene.time
         begun = [event for event in self.scenario.events if event.time <= time]
         kinds: dict[str, str] = {event.vehicle: "cut-in" for event in begun if event.kind == "cut-in"}
         # a vehicle that brakes or surges may cut in as well
         kinds |= {event.vehicle: str(event.kind) for event in begun if time < event.time + event.duration}
-        picture = self._renderer.draw(self.scene, road, self.config, self._action_name, kinds)
+        picture = rendering.draw(self.scene, road, self.config, self._action_name, kinds)
         if self.render_mode != "human":
             return picture
         if self._window is not None and not self._window.show(

@@ -1,5 +1,5 @@
 """Pictures of a scene, and what is painted of a road."""
 
-from sumo_env.rendering.pictures import Renderer
+from sumo_env.rendering.pictures import draw
 
-__all__ = ["Renderer"]
+__all__ = ["draw"]

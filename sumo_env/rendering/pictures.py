@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -47,88 +47,76 @@ _HEADLIGHTS = tuple(
 )
 
 
-class Renderer:
-    """Draws scenes; keeps the road's markings between calls, so use one per environment.
+def draw(
+    scene: Scene,
+    road: Road,
+    config: Mapping[str, Any],
+    action: str = "",
+    kinds: Mapping[str, str] | None = None,
+) -> NDArray[np.uint8]:
+    """The picture of a scene, shape (screen_height, screen_width, 3).
 
-    Size, zoom and camera are highway-env's config keys: ``screen_width``, ``screen_height`` [px], ``scaling``
-    [px/m], ``centering_position`` (the ego's place as a share of the picture).
+    Args:
+        scene: what is drawn.
+        road: the lanes.
+        config: size, zoom and camera by highway-env's keys: ``screen_width``, ``screen_height`` [px], ``scaling``
+            [px/m], ``centering_position`` (the ego's place as a share of the picture).
+        action: name of the ego's last action, "" for none.
+        kinds: of the risk events that act now, by vehicle.
     """
+    width, height = int(config["screen_width"]), int(config["screen_height"])
+    scale = float(config["scaling"]) * SUPERSAMPLING
+    # The camera moves by whole drawn pixels, so that the road does not flicker.
+    across, down = config["centering_position"]
+    left = round(float(scene.x[0]) * scale - across * width * SUPERSAMPLING)
+    top = round(float(scene.y[0]) * scale - down * height * SUPERSAMPLING)
+    size = width * SUPERSAMPLING, height * SUPERSAMPLING
+    canvas = Image.new("RGB", size, GROUND)
+    pen = ImageDraw.Draw(canvas)
+    corner = np.array([left, top])
+    for layer in _layers(road):
+        for polygon in layer.within(corner / scale, (corner + size) / scale):
+            pen.polygon(_pixels(polygon * scale - corner), fill=layer.colour)
+    labels: list[tuple[float, float, str]] = []
+    reach = max([VEHICLE_LENGTH, *(length for length, _ in scene.sizes.values())]) * scale
+    for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
+        x, y = float(scene.x[row]) * scale - left, float(scene.y[row]) * scale - top
+        if -reach < x < size[0] + reach and -reach < y < size[1] + reach:
+            extent = scene.size(scene.ids[row])
+            _draw_vehicle(pen, x, y, float(scene.heading[row]), scale, _colour(scene, row), extent)
+            if scene.ids[row] in scene.in_event:
+                _draw_ring(pen, x, y, scale)
+                labels.append((x, y - RING * scale, (kinds or {}).get(scene.ids[row], "")))
+            if row < scene.cars and scene.crashed[row]:
+                _draw_ring(pen, x, y, scale, CRASHED)
+    picture = canvas.reduce(SUPERSAMPLING)
+    font = _font(9 if height < 100 else min(12 + height // 50, 20))
+    pen = ImageDraw.Draw(picture, "RGBA")
+    for x, y, kind in labels:
+        place = x / SUPERSAMPLING, y / SUPERSAMPLING
+        pen.text(place, kind, fill=IN_EVENT, font=font, anchor="mb", stroke_width=2, stroke_fill=OUTLINE)
+    text = f"{scene.time:.1f} s   {float(scene.speed[0]):.1f} m/s   {action}".rstrip()
+    if scene.crashed[0]:
+        text += "   crash"
+    _, _, right, bottom = pen.textbbox((8, 5), text, font=font)
+    pen.rectangle((0, 0, right + 8, bottom + 5), fill=(*OUTLINE, 200))
+    pen.text((8, 5), text, fill=WHITE, font=font)
+    return np.array(picture)
 
-    def __init__(self) -> None:
-        self._road: Road | None = None
-        self._layers: tuple[_Layer, ...] = ()
 
-    def draw(
-        self,
-        scene: Scene,
-        road: Road,
-        config: Mapping[str, Any],
-        action: str = "",
-        kinds: Mapping[str, str] | None = None,
-    ) -> NDArray[np.uint8]:
-        """The picture of a scene, shape (screen_height, screen_width, 3).
-
-        Args:
-            scene: what is drawn.
-            road: the lanes.
-            config: sizes, zoom and camera.
-            action: name of the ego's last action, "" for none.
-            kinds: of the risk events that act now, by vehicle.
-        """
-        width, height = int(config["screen_width"]), int(config["screen_height"])
-        scale = float(config["scaling"]) * SUPERSAMPLING
-        # The camera moves by whole drawn pixels, so that the road does not flicker.
-        across, down = config["centering_position"]
-        left = round(float(scene.x[0]) * scale - across * width * SUPERSAMPLING)
-        top = round(float(scene.y[0]) * scale - down * height * SUPERSAMPLING)
-        size = width * SUPERSAMPLING, height * SUPERSAMPLING
-        canvas = Image.new("RGB", size, GROUND)
-        pen = ImageDraw.Draw(canvas)
-        self._draw_road(pen, road, scale, np.array([left, top]), np.array(size))
-        labels: list[tuple[float, float, str]] = []
-        reach = max([VEHICLE_LENGTH, *(length for length, _ in scene.sizes.values())]) * scale
-        for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
-            x, y = float(scene.x[row]) * scale - left, float(scene.y[row]) * scale - top
-            if -reach < x < size[0] + reach and -reach < y < size[1] + reach:
-                extent = scene.size(scene.ids[row])
-                _draw_vehicle(pen, x, y, float(scene.heading[row]), scale, _colour(scene, row), extent)
-                if scene.ids[row] in scene.in_event:
-                    _draw_ring(pen, x, y, scale)
-                    labels.append((x, y - RING * scale, (kinds or {}).get(scene.ids[row], "")))
-                if row < scene.cars and scene.crashed[row]:
-                    _draw_ring(pen, x, y, scale, CRASHED)
-        picture = canvas.reduce(SUPERSAMPLING)
-        font = _font(9 if height < 100 else min(12 + height // 50, 20))
-        pen = ImageDraw.Draw(picture, "RGBA")
-        for x, y, kind in labels:
-            place = x / SUPERSAMPLING, y / SUPERSAMPLING
-            pen.text(place, kind, fill=IN_EVENT, font=font, anchor="mb", stroke_width=2, stroke_fill=OUTLINE)
-        text = f"{scene.time:.1f} s   {float(scene.speed[0]):.1f} m/s   {action}".rstrip()
-        if scene.crashed[0]:
-            text += "   crash"
-        _, _, right, bottom = pen.textbbox((8, 5), text, font=font)
-        pen.rectangle((0, 0, right + 8, bottom + 5), fill=(*OUTLINE, 200))
-        pen.text((8, 5), text, fill=WHITE, font=font)
-        return np.array(picture)
-
-    def _draw_road(
-        self, pen: ImageDraw.ImageDraw, road: Road, scale: float, corner: Points, size: Points
-    ) -> None:
-        if self._road is not road:
-            self._road, paint = road, markings(road)
-            self._layers = (
-                _Layer(paint.rims, WHITE),
-                _Layer(paint.surfaces, ASPHALT),
-                _Layer(paint.dashes, WHITE),
-            )
-        for layer in self._layers:
-            for polygon in layer.within(corner / scale, (corner + size) / scale):
-                pen.polygon(_pixels(polygon * scale - corner), fill=layer.colour)
+@lru_cache(maxsize=8)
+def _layers(road: Road) -> tuple[_Layer, ...]:
+    """What is painted of a road, from below."""
+    paint = markings(road)
+    return (
+        _Layer(paint.rims, WHITE),
+        _Layer(paint.surfaces, ASPHALT),
+        _Layer(paint.dashes, WHITE),
+    )
 
 
 @cache
 def _font(size: int) -> Any:
-    """Of the module: a font cannot be copied with its environment."""
     return ImageFont.load_default(size=size)
 
 

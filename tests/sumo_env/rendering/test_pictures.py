@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sumo_env import rendering
 from sumo_env.config import COMMON
 from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
-from sumo_env.rendering import Renderer
+from sumo_env.rendering import draw
 from sumo_env.rendering.pictures import ASPHALT, CRASHED, EGO, GROUND, IN_EVENT, OTHER, RING, WHITE
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.scene import Scene
@@ -43,7 +44,7 @@ def pixel(
 
 
 def test_the_road_its_edges_and_its_lines() -> None:
-    picture = Renderer().draw(scene((100, 4, 0)), highway(4), VIEW)
+    picture = draw(scene((100, 4, 0)), highway(4), VIEW)
     assert picture.shape == (200, 400, 3)
     assert picture.dtype == np.uint8
     assert pixel(picture, 120, 4) == ASPHALT
@@ -58,15 +59,15 @@ def test_the_road_its_edges_and_its_lines() -> None:
 
 def test_a_vehicle_is_marked_while_a_risk_event_acts_on_it() -> None:
     now = scene((100, 4, 0), (115, 4, 0))
-    picture = Renderer().draw(replace(now, in_event=frozenset({"v1"})), highway(4), VIEW)
+    picture = draw(replace(now, in_event=frozenset({"v1"})), highway(4), VIEW)
     assert pixel(picture, 114.5, 4) == pixel(picture, 115 + RING - 0.2, 4) == IN_EVENT
-    after = Renderer().draw(now, highway(4), VIEW)
+    after = draw(now, highway(4), VIEW)
     assert pixel(after, 114.5, 4) == OTHER
     assert pixel(after, 115 + RING - 0.2, 4) == ASPHALT
 
 
 def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:
-    picture = Renderer().draw(scene((100, 4, 0), (115, 0, 0), (110, 8, 0), crashed=(2,)), highway(4), VIEW)
+    picture = draw(scene((100, 4, 0), (115, 0, 0), (110, 8, 0), crashed=(2,)), highway(4), VIEW)
     assert pixel(picture, 99.5, 4) == EGO
     assert pixel(picture, 114.5, 0) == OTHER
     assert pixel(picture, 109.5, 8) == CRASHED
@@ -79,7 +80,7 @@ def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:
 
 def test_learning_cars_have_the_colour_of_the_ego_in_a_lighter_shade() -> None:
     now = replace(scene((100, 4, 0), (115, 4, 0), (110, 8, 0), crashed=(1,)), cars=2)
-    picture = Renderer().draw(now, highway(4), VIEW)
+    picture = draw(now, highway(4), VIEW)
     colours = [pixel(picture, x, y) for x, y in ((99.5, 4), (114.5, 4), (109.5, 8))]
     assert colours == [EGO, tuple((a + b) // 2 for a, b in zip(EGO, OTHER, strict=True)), OTHER]
     assert pixel(picture, 115 + RING - 0.2, 4) == CRASHED
@@ -87,7 +88,7 @@ def test_learning_cars_have_the_colour_of_the_ego_in_a_lighter_shade() -> None:
 
 def test_headings_turn_clockwise_on_the_screen() -> None:
     """y points down: heading pi / 2 looks to the lower edge of the picture, where the headlights are."""
-    picture = Renderer().draw(scene((100, 4, 0), (120, 4, math.pi / 2)), highway(4), VIEW)
+    picture = draw(scene((100, 4, 0), (120, 4, math.pi / 2)), highway(4), VIEW)
     assert pixel(picture, 120, 4 + 2.2) != ASPHALT
     assert pixel(picture, 122.2, 4) == ASPHALT
     front = picture[122, 290:310].astype(int).sum()
@@ -97,12 +98,11 @@ def test_headings_turn_clockwise_on_the_screen() -> None:
 
 @pytest.mark.parametrize("road", [highway(4), two_way(), roundabout(), intersection(), u_turn()], ids=repr)
 def test_lanes_are_surfaced_from_end_to_end(road: Any) -> None:
-    renderer = Renderer()
     for lane in road.lanes.values():
         for s in (0.5, lane.length / 2, lane.length - 0.5):
             x, y = lane.position(s, 1.0)
             aside = (x - 20, y)
-            picture = renderer.draw(scene((*aside, 0)), road, VIEW)
+            picture = draw(scene((*aside, 0)), road, VIEW)
             assert pixel(picture, x, y, ego=aside) in (ASPHALT, WHITE)
 
 
@@ -113,7 +113,7 @@ def test_gaps_between_lanes_are_bridged() -> None:
     (x0, y0), (x1, y1) = entry.position(entry.length, 0.0), ring.position(0.0, 0.0)
     assert math.hypot(x1 - x0, y1 - y0) > 5
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
-    picture = Renderer().draw(scene((x - 8, y, 0)), road, VIEW)
+    picture = draw(scene((x - 8, y, 0)), road, VIEW)
     assert pixel(picture, x, y, ego=(x - 8, y)) == ASPHALT
 
 
@@ -130,7 +130,7 @@ def test_the_action_is_named(action: Any, monkeypatch: pytest.MonkeyPatch) -> No
     env = ReplicaEnv("highway", {"vehicles_count": 1}, render_mode="rgb_array")
     env.reset(seed=0)
     drawn: list[Any] = []
-    monkeypatch.setattr(Renderer, "draw", lambda self, *arguments: drawn.append(arguments[3]))
+    monkeypatch.setattr(rendering, "draw", lambda *arguments: drawn.append(arguments[3]))
     env.render()
     env.step(action)
     env.render()
@@ -139,7 +139,7 @@ def test_the_action_is_named(action: Any, monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_the_kind_of_an_event_is_written_above_its_ring() -> None:
     now = replace(scene((100, 4, 0), (115, 4, 0)), in_event=frozenset({"v1"}))
-    ring = Renderer().draw(now, highway(4), VIEW)
-    named = Renderer().draw(now, highway(4), VIEW, "", {"v1": "brake"})
+    ring = draw(now, highway(4), VIEW)
+    named = draw(now, highway(4), VIEW, "", {"v1": "brake"})
     rows, columns = np.nonzero((ring != named).any(axis=2))
     assert rows.size and rows.max() <= 103 - 10 * RING and 200 < columns.min() < 250 < columns.max() < 300

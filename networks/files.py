@@ -28,6 +28,7 @@ Shape = tuple[Point, ...]
 
 CAR = "passenger"  # SUMO's class of the ego, and of all vehicles without another one
 CLOSED = "/closed"  # after the name of an edge: its lanes on which no cars drive
+MINOR = ("m", "s", "w")  # SUMO's states of a way through a junction on which one gives way or stops
 TWO_WHEELS = {"bicycle", "moped", "motorcycle"}
 OTHERS = TWO_WHEELS | {"bus", "coach", "delivery", "emergency", "taxi", "trailer", "truck"}
 CLOSE = 0.05  # [m] points of a lane that are nearer to each other count as one: between them is no direction
@@ -134,6 +135,7 @@ def _read(path: Path, changed: int) -> Network:
     drivers = OTHERS | {CAR} if CAR in here else here - {"pedestrian"}  # where no cars drive: trains, ships
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
+    stops: dict[LaneIndex, tuple[tuple[str, int], ...]] = {}
     indices: dict[str, LaneIndex] = {}
 
     def add(index: LaneIndex, parts: list[Any], before: Shape = (), after: Shape = ()) -> None:
@@ -159,8 +161,12 @@ def _read(path: Path, changed: int) -> Network:
             own.setdefault(road_of(part), []).append(part)
         own.pop("", None)
         for name, parts in own.items():
+            gives_way = all(joint.getState() in MINOR for part in parts for joint in part.getOutgoing())
             for number, part in enumerate(parts):
                 add(lane(name, number), [part])
+                lights = _lights(part)
+                if lights or (gives_way and part.getOutgoing()):
+                    stops[lane(name, number)] = lights
             joints: dict[str, int] = {}
             for part in parts:
                 for joint in part.getOutgoing():
@@ -189,7 +195,14 @@ def _read(path: Path, changed: int) -> Network:
         {name: found.shape for name, found in sumo_lanes.items()},
         {name: found.following for name, found in sumo_lanes.items()},
     )
-    return Network(Road(path.name, lanes), path, {}, first, indices, sumo_lanes, meeting=meeting)
+    road = Road(path.name, lanes, stops=stops)
+    return Network(road, path, {}, first, indices, sumo_lanes, meeting=meeting)
+
+
+def _lights(part: Any) -> tuple[tuple[str, int], ...]:
+    """See `Road.stops`."""
+    joints = [joint for joint in part.getOutgoing() if joint.getTLSID()]
+    return tuple(sorted({(joint.getTLSID(), int(joint.getTLLinkIndex())) for joint in joints}))
 
 
 def _to_scale(found: SumoLane) -> SumoLane:

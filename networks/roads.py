@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from operator import itemgetter
 from typing import Any
@@ -40,6 +40,8 @@ class Road:
     joined: whether lanes continue others, so that highway-env's connected lanes make a difference.
     regulated: whether highway-env applies right of way (``RegulatedRoad``).
     turned_by_matrix: whether highway-env computes lanes by turning those of one arm (``IntersectionEnv._make_road``).
+    stops: lanes with a stop line at their end, on SUMO's own networks, and the lights there, from right to left: of
+        each way on the id of the traffic light and its place among that light's letters; none where one gives way.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Road:
     joined: bool = False
     regulated: bool = False
     turned_by_matrix: bool = False
+    stops: Mapping[LaneIndex, tuple[tuple[str, int], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.lanes = dict(_graph_order(self.lanes))

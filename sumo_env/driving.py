@@ -252,6 +252,7 @@ class DrivingEnv(OnScreen, OwnSumo):
         except WindowClosed:  # the episode ends where it was
             self._is_closed = True
             step = Step(self.scene, dict.fromkeys(commands, self._last._replace(distance=0.0)))
+        self._last = step.egos.get(self.ego_id, self._last)  # pictures tell of it
         self._film(step.trace)
         return step
 

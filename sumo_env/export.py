@@ -1,7 +1,8 @@
 """An episode as a SUMO scenario: files that ``sumo`` and ``sumo-gui`` open without this package.
 
-``episode.sumocfg`` shows what happened: every vehicle is replayed along its recorded way. The ego is blue, vehicles on
-which a risk event acts in the episode are yellow, the others white.
+``episode.sumocfg`` shows what happened: every vehicle is replayed along its recorded way, and traffic lights show what
+they showed. The ego is blue, vehicles that crash in the episode are red, those on which a risk event acts are yellow,
+the others white.
 
 SUMO's convention differs from the scenes' (highway-env's): y points up, a position is the middle of the front bumper,
 and an angle is in degrees, clockwise from north.
@@ -11,7 +12,8 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -26,7 +28,7 @@ from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
 FREE = {"tau": "0.1", "minGap": "0", "decel": "200", "emergencyDecel": "200", "vClass": "ignoring"}
 REPLAYED = {**FREE, "guiShape": "delivery"}
 # Those of the pictures; a replayed vehicle cannot change its colour, so it has one for the whole episode.
-COLOURS = {EGO: "0,114,178", "car": "233,237,241", "risky": "255,196,0"}
+COLOURS = {EGO: "0,114,178", "car": "233,237,241", "risky": "255,196,0", "crashed": "229,72,77"}
 VIEW = "view.xml"
 WINDOW = (1200, 800)  # [px] of sumo-gui
 AROUND = 50.0  # [m] that it shows around the way of the ego
@@ -61,6 +63,7 @@ def write(
         for name, colour in COLOURS.items()
         for size in (None, *sorted(sizes))
     )
+    types.extend(_programs(scenes, step))
     inputs = {"net-file": "network.net.xml", "additional-files": "types.add.xml"}
     contents = {
         "recorded.fcd.xml": ways,
@@ -135,7 +138,18 @@ def _of_sumo(recorded: Path, scenes: Sequence[Scene], step: float) -> ElementTre
 def _colours(scenes: Sequence[Scene]) -> dict[str, str]:
     """The vehicles that are no regular others -> what they are."""
     shown = dict.fromkeys((name for scene in scenes for name in scene.in_event), "risky")
+    last = scenes[-1]
+    shown |= {name: "crashed" for name, crashed in zip(last.ids, last.crashed, strict=True) if crashed}
     return shown | {scenes[0].ids[0]: EGO}
+
+
+def _programs(scenes: Sequence[Scene], step: float) -> Iterator[ElementTree.Element]:
+    """What each traffic light showed, as one of SUMO's programs: a scene has what was set a step before it."""
+    for name in scenes[0].signals:
+        program = ElementTree.Element("tlLogic", id=name, type="static", programID="episode", offset="0")
+        for state, same in groupby(scene.signals[name] for scene in scenes[1:] or scenes):
+            ElementTree.SubElement(program, "phase", duration=f"{len([*same]) * step:.3f}", state=state)
+        yield program
 
 
 def _type(name: str, size: tuple[float, float] | None) -> str:

@@ -20,6 +20,9 @@ PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION
 
 Floats = NDArray[np.float64]
 UNLIT, RED, YELLOW, GREEN = -1, 0, 1, 2  # states of a traffic light; UNLIT where there is none
+# What SUMO's letters mean (https://sumo.dlr.de/docs/Simulation/Traffic_Lights.html); those that are left out mean that
+# the light is off. "s" lets vehicles turn right after a stop.
+LETTERS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G": GREEN}
 
 
 class Light(NamedTuple):
@@ -120,6 +123,7 @@ class Scene:
         place: the ego's on a network with SUMO's own traffic, None elsewhere.
         cars: number of first rows that are learning cars.
         further: light and place of the learning cars but the ego, by their ids.
+        signals: what each traffic light of a network shows, in SUMO's letters, by its id.
     """
 
     ids: tuple[str, ...]
@@ -135,6 +139,7 @@ class Scene:
     place: Place | None = None
     cars: int = 1
     further: Mapping[str, tuple[Light, Place | None]] = field(default_factory=dict)
+    signals: Mapping[str, str] = field(default_factory=dict)
 
     def seen_by(self, name: str) -> Scene:
         """The scene in which this learning car is the ego; KeyError if there is no such one."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sumo_env.as_highway_env import ReadAsHighwayEnv
 from sumo_env.scene import Scene
+from sumo_env.simulator import EgoStep
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
 
@@ -27,6 +28,7 @@ class OnScreen(ReadAsHighwayEnv):
     render_mode: str | None
     scenario: Scenario | None
     task: Task
+    _last: EgoStep
     _video: RecordVideo[Any, Any] | None = None
     _window: Window | None = None  # of render mode "human"
     _action_name = ""  # of the last meta-action of this episode
@@ -44,12 +46,9 @@ class OnScreen(ReadAsHighwayEnv):
             raise gym.error.ResetNeeded("call reset() before render()")
         from sumo_env import rendering  # Pillow is imported when the first picture is drawn
 
-        road, time = self.task.road(self.config), self.scene.time
-        begun = [event for event in self.scenario.events if event.time <= time]
-        kinds: dict[str, str] = {event.vehicle: "cut-in" for event in begun if event.kind == "cut-in"}
-        # a vehicle that brakes or surges may cut in as well
-        kinds |= {event.vehicle: str(event.kind) for event in begun if time < event.time + event.duration}
-        picture = rendering.draw(self.scene, road, self.config, self._action_name, kinds)
+        limit = float(self.config["duration"])
+        notes = rendering.notes(self.scene, self.scenario, self._last, self._action_name, limit)
+        picture = rendering.draw(self.scene, self.task.road(self.config), self.config, notes)
         if self.render_mode != "human":
             return picture
         if self._window is not None and not self._window.show(

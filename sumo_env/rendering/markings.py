@@ -1,4 +1,4 @@
-"""What is painted of a road: its surface, its edges and its dashed lines, as polygons in metres.
+"""What is painted of a road: its surface, edges, lines, stop lines and traffic lights, as polygons in metres.
 
 Derived from the lanes alone. Edge lines need no rule for junctions: every strip of surface is first drawn in white
 and slightly wider, then all surfaces are drawn over that, so white remains only at the rim of their union.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.networks.lanes import Lane, StraightLane, wrap_to_pi
+from sumo_env.networks.lanes import Lane, PolyLane, StraightLane, wrap_to_pi
 from sumo_env.networks.plans import bow
 from sumo_env.networks.roads import LaneIndex, Road
 
@@ -24,16 +24,24 @@ DASH_LENGTH = 3.0  # [m] LaneGraphics.STRIPE_LENGTH
 DASH_SPACING = 4.33  # [m] LaneGraphics.STRIPE_SPACING
 RUN_OUT = 300.0  # [m] that roads are drawn beyond their ends, where vehicles come from and go to
 STEP = 1.0  # [m] between the points of a curve
-NEAR = 0.5  # [m] lanes whose ends are closer than this are joined
+NEAR = 0.5  # [m] lanes whose ends are closer than this are joined, and those of two directions without a gap
+STOP_LINE = 0.8  # [m] from front to back
 
 
 @dataclass(frozen=True)
 class Markings:
-    """Polygons to fill: `rims` white, then `surfaces` grey, then `dashes` white; arrays (k, 2) [m]."""
+    """Polygons to fill, arrays (k, 2) [m]: `rims` white, then `surfaces` grey, then the rest white.
+
+    Attributes:
+        lines: between directions on SUMO's own networks, and where one stops or gives way.
+        lights: parts of stop lines; of the way on from there, id of the traffic light and place among its letters.
+    """
 
     rims: tuple[Points, ...]
     surfaces: tuple[Points, ...]
     dashes: tuple[Points, ...]
+    lines: tuple[Points, ...]
+    lights: tuple[tuple[Points, str, int], ...]
 
 
 def markings(road: Road) -> Markings:
@@ -46,6 +54,12 @@ def markings(road: Road) -> Markings:
         rims=tuple(_outline(strip, half + LINE_WIDTH) for strip, half in strips),
         surfaces=tuple(_outline(strip, half) for strip, half in strips),
         dashes=tuple(dash for divider in _dividers(road) for dash in _dashes(*divider)),
+        lines=(*_between_directions(road), *(_stop_line(road.lanes[index]) for index in road.stops)),
+        lights=tuple(
+            (_stop_line(road.lanes[index], number / len(ways), (number + 1) / len(ways)), *way)
+            for index, ways in road.stops.items()
+            for number, way in enumerate(ways)
+        ),
     )
 
 
@@ -107,9 +121,10 @@ def _open_joints(road: Road) -> Iterator[tuple[Lane, Lane]]:
 
 
 def _dividers(road: Road) -> Iterator[tuple[Lane, float, float]]:
-    """Lanes with a dashed line on their left side, and its extent [m]."""
+    """Lanes with a dashed line on their left side, and its extent [m]; SUMO's own have none within junctions."""
     for index, lane in road.lanes.items():
-        if index[2] > 0 or _has_oncoming_neighbour(road, index, lane):
+        is_inside = isinstance(lane, PolyLane) and not index[0].endswith(":from")
+        if (index[2] > 0 and not is_inside) or _has_oncoming_neighbour(road, index, lane):
             yield lane, *_extent(road, index, lane)
 
 
@@ -130,6 +145,43 @@ def _has_oncoming_neighbour(road: Road, index: LaneIndex, lane: Lane) -> bool:
     return False
 
 
+def _between_directions(road: Road) -> Iterator[Points]:
+    """The lines between two directions of SUMO's edges, on the side where oncoming vehicles drive."""
+    outer = [
+        (lane, side * lane.width / 2)
+        for (start, end, place), lane in road.lanes.items()
+        for side, last in ((-1, 0), (1, road.count(start, end) - 1))
+        if isinstance(lane, PolyLane) and start.endswith(":from") and place == last
+    ]
+    if not outer:
+        return
+    low, high = (np.array([limit(lane.points, axis=0) for lane, _ in outer]) for limit in (np.min, np.max))
+    for lane, edge in outer:
+        middle, heading = lane.position(lane.length / 2, edge), lane.heading_at(lane.length / 2)
+        near = (low - lane.width < middle).all(axis=1) & (high + lane.width > middle).all(axis=1)
+        for other, its_edge in (outer[k] for k in np.flatnonzero(near)):
+            s, lateral = other.local_coordinates(*middle)
+            turned = abs(wrap_to_pi(other.heading_at(s) - heading))
+            if 0.0 < s < other.length and abs(lateral - its_edge) < NEAR and turned > math.pi / 2:
+                yield _outline(_beside(_strip(lane, 0.0, lane.length), edge), LINE_WIDTH / 2)
+                break
+
+
+def _stop_line(lane: Lane, first: float = 0.0, last: float = 1.0) -> Points:
+    """The stop line at the end of a lane, between two shares of its width, counted from the right."""
+    right, left = lane.width * (0.5 - first), lane.width * (0.5 - last)
+    front, back = lane.length, lane.length - STOP_LINE
+    return np.array(
+        [lane.position(*corner) for corner in ((back, right), (front, right), (front, left), (back, left))]
+    )
+
+
+def _beside(strip: Points, lateral: float) -> Points:
+    """A line that is `lateral` [m] to the right of a centre line."""
+    x, y, heading = strip.T
+    return np.column_stack([x - lateral * np.sin(heading), y + lateral * np.cos(heading), heading])
+
+
 def _dashes(lane: Lane, first: float, last: float) -> Iterator[Points]:
     """The dashes on the left side of a lane."""
     starts = np.arange(math.ceil(first / DASH_SPACING), last / DASH_SPACING) * DASH_SPACING
@@ -142,6 +194,4 @@ def _dashes(lane: Lane, first: float, last: float) -> Iterator[Points]:
         yield from dash + starts[:, None, None] * along
         return
     for s in starts.tolist():
-        x, y, heading = _strip(lane, s, min(s + DASH_LENGTH, last)).T
-        middle = np.column_stack([x - edge * np.sin(heading), y + edge * np.cos(heading), heading])
-        yield _outline(middle, half)
+        yield _outline(_beside(_strip(lane, s, min(s + DASH_LENGTH, last)), edge), half)

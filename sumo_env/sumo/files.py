@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from math import inf
 from pathlib import Path
@@ -219,6 +220,9 @@ class FileSimulator(SumoSimulator):
         self._events.replace([event for name in self._road for event in self._drawn(name, now)], now)
 
     # -- reading -------------------------------------------------------------------------------------------
+
+    def _read(self) -> Scene:
+        return replace(super()._read(), signals=self._session.signals())
 
     def _others(self) -> list[str]:
         return [name for name in self._session.vehicles() if name not in self._cars]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from sumo_env.contacts.rectangles import Half, State
 from sumo_env.networks.meeting import Spot
-from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
+from sumo_env.scene import CAR_SIZE, LETTERS, NO_LIGHT, VEHICLE_LENGTH, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
 from sumo_env.sumo.settings import Settings
 from sumo_env.traffic.sumo_files import plain_path, temporary_folder
@@ -28,10 +28,6 @@ NO_RIGHT_OF_WAY = 23  # car following; foes that approach a junction are ignored
 # Lane-change modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#lane_change_mode_0xb6)
 COMMANDED_LANE_CHANGES = 0  # commanded changes only, without regard to others
 OWN_LANE_CHANGES = 1621  # the lane-change model decides; how SUMO's vehicles begin
-
-# SUMO's letters for the state of a traffic light (https://sumo.dlr.de/docs/Simulation/Traffic_Lights.html); those that
-# are left out mean that it is off. "s" lets vehicles turn right after a stop.
-LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G": GREEN}
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
 CENTRED = 0.05  # [m] from the middle of a lane
@@ -235,11 +231,16 @@ class Session:
     def next_light(self, name: str) -> Light:
         """The next traffic light on a vehicle's way."""
         for signal, _, distance, letter in self.vehicle.getNextTLS(name):
-            if letter in LIGHTS:
+            if letter in LETTERS:
                 # when SUMO next looks at the phase, which may go on where the light looks at the traffic
                 left = self.sumo.trafficlight.getNextSwitch(signal) - self.simulation.getTime()
-                return Light(LIGHTS[letter], float(distance), max(float(left), 0.0))
+                return Light(LETTERS[letter], float(distance), max(float(left), 0.0))
         return NO_LIGHT
+
+    def signals(self) -> dict[str, str]:
+        """What all traffic lights show, in SUMO's letters, by their ids."""
+        lights = self.sumo.trafficlight
+        return {name: lights.getRedYellowGreenState(name) for name in lights.getIDList()}
 
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""

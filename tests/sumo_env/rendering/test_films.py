@@ -12,7 +12,7 @@ import pytest
 from gymnasium.wrappers import RecordVideo
 
 import sumo_env
-from sumo_env.rendering.pictures import ASPHALT, EGO, GROUND, OTHER, WHITE
+from sumo_env.rendering.scenery import FILM
 from tests.sumo_env.rollout import assert_same_bits
 
 
@@ -25,7 +25,7 @@ def test_every_task_renders_in_its_size(id: str) -> None:
     config = env.get_wrapper_attr("config")
     assert picture.shape == (config["screen_height"], config["screen_width"], 3)
     colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
-    assert {GROUND, ASPHALT, WHITE, EGO, OTHER} <= colours
+    assert {FILM.ground, FILM.asphalt, FILM.line, FILM.ego, FILM.other} <= colours
 
 
 def test_without_a_render_mode_there_is_a_warning_and_no_picture() -> None:

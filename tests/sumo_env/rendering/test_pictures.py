@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,17 @@ import pytest
 
 from sumo_env import rendering
 from sumo_env.config import COMMON
+from sumo_env.driving import DrivingEnv
 from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
 from sumo_env.rendering import draw
-from sumo_env.rendering.pictures import ASPHALT, CRASHED, EGO, GROUND, IN_EVENT, OTHER, RING, WHITE
+from sumo_env.rendering.notes import CRASH, EVENT, Mark, Notes
+from sumo_env.rendering.pictures import RING
+from sumo_env.rendering.scenery import FILM
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.scene import Scene
+from tests.sumo_env.rollout import drive
 
+GROUND, ASPHALT, WHITE, _, EGO, FURTHER, OTHER, CRASHED, _, IN_EVENT = FILM
 VIEW = {
     **COMMON,
     "screen_width": 400,
@@ -57,9 +63,14 @@ def test_the_road_its_edges_and_its_lines() -> None:
     assert 0.6 < (divider == WHITE).all(axis=1).mean() < 0.8  # 3 of 4.33 m
 
 
+def marked(*marks: Mark) -> Notes:
+    return Notes(marks)
+
+
 def test_a_vehicle_is_marked_while_a_risk_event_acts_on_it() -> None:
     now = scene((100, 4, 0), (115, 4, 0))
-    picture = draw(replace(now, in_event=frozenset({"v1"})), highway(4), VIEW)
+    during = replace(now, in_event=frozenset({"v1"}))
+    picture = draw(during, highway(4), VIEW, marked(Mark(EVENT, "v1", "")))
     assert pixel(picture, 114.5, 4) == pixel(picture, 115 + RING - 0.2, 4) == IN_EVENT
     after = draw(now, highway(4), VIEW)
     assert pixel(after, 114.5, 4) == OTHER
@@ -81,9 +92,7 @@ def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:
 def test_learning_cars_have_the_colour_of_the_ego_in_a_lighter_shade() -> None:
     now = replace(scene((100, 4, 0), (115, 4, 0), (110, 8, 0), crashed=(1,)), cars=2)
     picture = draw(now, highway(4), VIEW)
-    colours = [pixel(picture, x, y) for x, y in ((99.5, 4), (114.5, 4), (109.5, 8))]
-    assert colours == [EGO, tuple((a + b) // 2 for a, b in zip(EGO, OTHER, strict=True)), OTHER]
-    assert pixel(picture, 115 + RING - 0.2, 4) == CRASHED
+    assert [pixel(picture, x, y) for x, y in ((99.5, 4), (114.5, 4), (109.5, 8))] == [EGO, FURTHER, OTHER]
 
 
 def test_headings_turn_clockwise_on_the_screen() -> None:
@@ -129,17 +138,49 @@ def test_the_action_is_named(action: Any, monkeypatch: pytest.MonkeyPatch) -> No
     """In any form that an agent may give it."""
     env = ReplicaEnv("highway", {"vehicles_count": 1}, render_mode="rgb_array")
     env.reset(seed=0)
-    drawn: list[Any] = []
-    monkeypatch.setattr(rendering, "draw", lambda *arguments: drawn.append(arguments[3]))
+    said: list[str] = []
+    monkeypatch.setattr(
+        rendering, "draw", lambda *arguments: said.append(arguments[3].lines[0][1].split()[-1])
+    )
     env.render()
     env.step(action)
     env.render()
-    assert drawn == ["", "FASTER"]
+    assert said == ["m/s", "FASTER"]
 
 
-def test_the_kind_of_an_event_is_written_above_its_ring() -> None:
-    now = replace(scene((100, 4, 0), (115, 4, 0)), in_event=frozenset({"v1"}))
-    ring = draw(now, highway(4), VIEW)
-    named = draw(now, highway(4), VIEW, "", {"v1": "brake"})
+def test_words_stand_above_their_ring_and_lines_in_the_corner() -> None:
+    now = scene((100, 4, 0), (115, 4, 0))
+    ring = draw(now, highway(4), VIEW, marked(Mark(EVENT, "v1", "")))
+    named = draw(now, highway(4), VIEW, marked(Mark(EVENT, "v1", "brake")))
     rows, columns = np.nonzero((ring != named).any(axis=2))
     assert rows.size and rows.max() <= 103 - 10 * RING and 200 < columns.min() < 250 < columns.max() < 300
+    told = draw(now, highway(4), VIEW, Notes(lines=(("", "1.0 s"), (CRASH, "crash with v1"))))
+    rows, columns = np.nonzero((draw(now, highway(4), VIEW) != told).any(axis=2))
+    assert rows.min() == columns.min() == 0 and 30 < rows.max() < 70 and columns.max() < 150
+
+
+def test_the_bar_shows_how_much_of_the_time_is_over() -> None:
+    for share in (0.0, 0.25, 1.0):
+        bar = draw(scene((100, 4, 0)), highway(4), VIEW, Notes(share=share))[-1]
+        assert (bar == WHITE).all(axis=1).mean() == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize("make", [DrivingEnv, partial(ReplicaEnv, scenarios="seeded")])
+def test_notes_say_what_info_says(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Near misses, and with whom the ego crashes, in the last picture of each policy step."""
+    config = {"risk": 1.0, "policy_frequency": 5, "simulation_frequency": 10}
+    env = make("u-turn", config, render_mode="rgb_array")
+    drawn: list[Any] = []
+    monkeypatch.setattr(rendering, "draw", lambda *arguments: drawn.append(arguments[3]))
+    found = set()
+    for seed in range(4):
+        for *_, info in drive(env, 1, seed=seed):
+            env.render()
+            kinds = [kind for kind, _ in drawn[-1].lines]
+            assert ("near miss" in kinds) == info["near_miss"] and (CRASH in kinds) == info["crashed"]
+            found |= {*kinds}
+            if info["crashed"]:
+                other = info["crash"]["other"]
+                assert other in drawn[-1].lines[-1][1] and Mark(CRASH, other, other) in drawn[-1].marks
+    assert {"", "near miss", CRASH} <= found
+    env.close()

@@ -1,0 +1,97 @@
+"""What a picture says beside what is to be seen: marks of vehicles, lines of text, and how much of the time is over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import inf
+from typing import NamedTuple
+
+from sumo_env.contacts.measures import NEAR_MISS_TTC, ego_ttc
+from sumo_env.contacts.rectangles import state_of
+from sumo_env.scene import RED, YELLOW, Scene
+from sumo_env.simulator import EgoStep
+from sumo_env.traffic.scenario import Scenario
+
+EVENT, CRASH, NEAR_MISS = "event", "crash", "near miss"  # kinds of marks and lines, beside those of lights
+LIGHTS = {RED: "red light", YELLOW: "yellow light"}
+SEEN_LIGHT = 60.0  # [m] to a light that is told of
+
+
+class Mark(NamedTuple):
+    """A ring around a vehicle, and the words beside it."""
+
+    kind: str
+    name: str  # of the vehicle
+    text: str
+
+
+class Notes(NamedTuple):
+    """What is written into a picture.
+
+    Attributes:
+        lines: kinds ("" for what is always said) and texts.
+        share: of the episode's time that is over, from 0 to 1; None for no bar.
+    """
+
+    marks: tuple[Mark, ...] = ()
+    lines: tuple[tuple[str, str], ...] = ()
+    share: float | None = None
+
+
+def notes(scene: Scene, scenario: Scenario, step: EgoStep, action: str, duration: float) -> Notes:
+    """The notes on a scene of an episode.
+
+    Args:
+        scene: an instant of a policy step.
+        scenario: with the risk events.
+        step: what the ego meets in this policy step, as ``info`` says it.
+        action: name of the ego's last meta-action, "" without one.
+        duration: of the episode [s].
+    """
+    lines = [("", f"{scene.time:.1f} s   {scene.speed.item(0):.1f} m/s   {action}".rstrip())]
+    light = scene.light
+    if light.state in LIGHTS and light.distance <= SEEN_LIGHT:
+        lines.append((LIGHTS[light.state], f"{LIGHTS[light.state]} in {light.distance:.0f} m"))
+    other = "" if step.crash is None else step.crash.other
+    if scene.crashed[0]:
+        lines.append((CRASH, f"crash with {other}" if other else "crash"))
+    elif step.min_ttc < NEAR_MISS_TTC:
+        lines.append((NEAR_MISS, f"near miss: {step.min_ttc:.1f} s"))
+    marks = (*_events(scene, scenario), *_crashes(scene, other), *_near(scene, step))
+    return Notes(marks, tuple(lines), min(scene.time / duration, 1.0))
+
+
+def _events(scene: Scene, scenario: Scenario) -> Iterator[Mark]:
+    begun = [event for event in scenario.events if event.time <= scene.time]
+    kinds: dict[str, str] = {event.vehicle: "cut-in" for event in begun if event.kind == "cut-in"}
+    # a vehicle that brakes or surges may cut in as well
+    kinds |= {event.vehicle: str(event.kind) for event in begun if scene.time < event.time + event.duration}
+    for name in scene.ids:
+        if name in scene.in_event:
+            yield Mark(EVENT, name, kinds.get(name, ""))
+
+
+def _crashes(scene: Scene, other: str) -> Iterator[Mark]:
+    """Crashed learning cars, and with whom the ego has crashed."""
+    for name, crashed in zip(scene.ids[: scene.cars], scene.crashed.tolist(), strict=False):
+        if crashed:
+            yield Mark(CRASH, name, "")
+    if scene.crashed[0] and other in scene.ids:
+        yield Mark(CRASH, other, other)
+
+
+def _near(scene: Scene, step: EgoStep) -> Iterator[Mark]:
+    """The vehicle that the ego would hit first, in a policy step with a near miss."""
+    if scene.crashed[0] or step.min_ttc >= NEAR_MISS_TTC:
+        return
+    (own, *halves), ego = (
+        ([size / 2.0 for size in scene.size(name)] for name in scene.ids),
+        state_of(scene, 0),
+    )
+    least, name = inf, ""
+    for row, half in enumerate(halves, 1):
+        time = ego_ttc(ego, (state_of(scene, row),), NEAR_MISS_TTC, (half[0], half[1]), (own[0], own[1]))
+        if time < least:
+            least, name = time, scene.ids[row]
+    if name:
+        yield Mark(NEAR_MISS, name, f"{least:.1f} s")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 from pathlib import Path
 from statistics import median
@@ -87,17 +86,6 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
             code = "".join(cell["source"]).replace("EPISODES = 30", "EPISODES = 1")
             exec(compile(code, cell["id"], "exec"), shared)
     assert (tmp_path / "episode" / "episode.sumocfg").is_file()
-
-
-def test_the_notebook_shows_what_risk_does() -> None:
-    """Its stored outputs, as a code host shows them: crash rates rise with the dose; the file is small."""
-    file = EXAMPLES / "tour.ipynb"
-    cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
-    (risk,) = [cell for cell in cells if "EPISODES" in "".join(cell["source"])]
-    rates = ast.literal_eval("".join(risk["outputs"][-1]["data"]["text/plain"]))
-    assert len(rates) == 2 and all(rate[0] < rate[1] < rate[2] for rate in rates.values())
-    assert any("image/png" in output.get("data", {}) for cell in cells for output in cell.get("outputs", []))
-    assert file.stat().st_size < 200_000
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -43,15 +43,6 @@ def first(cells, crashed):
     return f"{cell}:{row['traffic']}:{row['scenario']}", row
 
 
-@pytest.mark.parametrize("case", ["", ":regular:2", ":risky:1"])
-def test_an_episode_is_reproduced(cells, case, tmp_path, capsys):
-    for number, cell in enumerate(cells):
-        film = tmp_path / f"{number}.gif"
-        assert replay(Options(f"{cell}{case}", out=film), make_env) == 0
-        assert "reproduced" in capsys.readouterr().out
-        assert Image.open(film).size == (60, 20)
-
-
 def test_the_policy_itself_drives_and_its_actions_are_compared(cells, tmp_path, capsys):
     """Not the actions that it once chose, which say nothing about the agent."""
     for number, cell in enumerate(cells):

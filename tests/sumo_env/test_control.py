@@ -266,17 +266,6 @@ def test_a_copy_is_handed_over_too_and_drives_the_same() -> None:
     assert twin.sumo.vehicle.getSpeedMode("ego") == SUMO_S
 
 
-def test_an_ego_that_crashes_while_sumo_drives_coasts_to_a_stop() -> None:
-    env = DrivingEnv("two-way", {"action": BOTH})
-    env.reset(seed=0)
-    env.step(0)
-    env.sumo.vehicle.setSpeedMode("ego", COMMANDED)
-    env.sumo.vehicle.setSpeed("ego", 30.0)  # through the car ahead
-    for _ in range(15):
-        *_, info = env.step(0)
-    assert info["crashed"] and info["speed"] < 1.0
-
-
 # -- errors, and other users of actions ----------------------------------------------------------------------------
 
 

@@ -18,7 +18,7 @@ import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from sumo_env.config import COMMON, IGNORED, ConfigError, _meant, ignore, tell_of_steps
+from sumo_env.config import ConfigError, ignore, tell_of_steps
 from sumo_env.env import DrivingEnv
 from sumo_env.interface import ending
 from sumo_env.scene import Place
@@ -64,35 +64,6 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
 
 
 # -- configuration -----------------------------------------------------------------------------------------
-
-
-@every_task
-def test_hints_do_not_mislead(task: str) -> None:
-    """Keys of other tasks, of highway-env itself and of public scripts are not taken for keys that look like them."""
-    others = (
-        {key for other in TASKS.values() for key in other.defaults}
-        - TASKS[task].defaults.keys()
-        - COMMON.keys()
-    )
-    scripts = {
-        "speed_limit",
-        "disable_collision_checks",
-        "goal_reward",
-        "merging_speed_reward",
-        "other_vehicles",
-    }
-    same = {"initial_vehicle_count", "vehicles_count"}  # what one task calls so, the others call otherwise
-    ignored = IGNORED | ({"on_road_reward"} if task == "two-way" else set())
-    for key in others | scripts | {"seed", "initial_speed", "action_reward", "reward", "max_speed"}:
-        if key in ignored:
-            with pytest.warns(UserWarning, match=f"'{key}' has no effect") as warned:
-                ignore.__wrapped__(task, key, _meant(key, {**COMMON, **TASKS[task].defaults}))
-            said = str(warned[0].message)
-        else:
-            with pytest.raises(ConfigError, match="unknown config key") as caught:
-                DrivingEnv(task, {key: 1})
-            said = str(caught.value)
-        assert ("did you mean" in said) == (key in same), said
 
 
 @every_task

@@ -12,7 +12,6 @@ import gymnasium as gym
 import highway_env.envs
 import numpy as np
 import pytest
-from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
 from sumo_env import hints
@@ -218,15 +217,6 @@ def test_a_steered_ego_is_of_highway_envs_class(action: dict[str, Any]) -> None:
 def one(id: str, config: dict[str, Any]) -> Any:
     """An environment without wrappers."""
     return gym.make(id, config=config).unwrapped
-
-
-def test_several_learning_cars_are_of_one_class() -> None:
-    actions = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
-    config = {"controlled_vehicles": 2, "action": actions}
-    env: Any = gym.make("sumo/intersection-v0", config=config).unwrapped
-    env.reset(seed=0)
-    learning = [vehicle.id for vehicle in env.road.vehicles if isinstance(vehicle, MDPVehicle)]
-    assert learning == [car.id for car in env.controlled_vehicles] and len(learning) == 2
 
 
 def same_kind(own: Any, other: Any) -> None:

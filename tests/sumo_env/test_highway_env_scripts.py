@@ -108,26 +108,6 @@ def test_a_subclass_has_its_own_reward_and_id() -> None:
         env.unwrapped.configure({"gap_rewards": 7.0})
 
 
-class LeftLane(gym.Wrapper[Any, Any, Any, Any]):
-    """Pays for the left lane and for overtaking."""
-
-    def step(self, action: Any) -> Any:
-        obs, reward, terminated, truncated, info = self.env.step(action)
-        inner: Any = self.env.unwrapped
-        lanes = inner.road.network.all_side_lanes(inner.vehicle.lane_index)
-        reward += 0.5 * (1 - inner.vehicle.lane_index[2] / max(len(lanes) - 1, 1))
-        behind = [
-            v for v in inner.road.vehicles if v is not inner.vehicle and inner.vehicle.lane_distance_to(v) < 0
-        ]
-        return obs, reward + 0.1 * len(behind), terminated, truncated, {**info, "overtaken": len(behind)}
-
-
-def test_a_wrapper_shapes_the_reward_by_what_it_reads() -> None:
-    env = LeftLane(gym.make("sumo/highway-v0", config=FEW))
-    env.reset(seed=0)
-    assert env.step(0)[1] > env.step(2)[1] - 0.5
-
-
 def test_a_film_is_recorded_with_every_simulation_step(tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
     env: Any = gym.make("sumo/highway-fast-v0", render_mode="rgb_array")
@@ -168,23 +148,6 @@ def test_rules_of_distance_and_lane_drive() -> None:
         if terminated or truncated:
             break
     assert not info["crashed"]
-
-
-def test_vehicles_are_logged_to_a_table() -> None:
-    env: Any = gym.make("sumo/roundabout-v0").unwrapped
-    env.reset(seed=2)
-    rows = []
-    for _ in range(3):
-        env.step(env.action_space.sample())
-        for vehicle in [
-            env.vehicle,
-            *env.road.close_vehicles_to(env.vehicle, env.config["duration"] * 10.0, count=4),
-        ]:
-            s, lateral = vehicle.lane.local_coordinates(vehicle.position)
-            rows.append(
-                {"time": env.time, "id": id(vehicle), "s": s, "lateral": lateral, **vehicle.to_dict()}
-            )
-    assert len(rows) > 6 and all(np.isfinite(list(row.values())).all() for row in rows)
 
 
 def test_a_shield_predicts_with_a_copy_and_refuses_actions() -> None:

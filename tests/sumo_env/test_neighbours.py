@@ -10,7 +10,6 @@ import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
-from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.neighbours import neighbours_on
 from sumo_env.networks.roads import highway
@@ -112,31 +111,6 @@ def test_on_a_network_they_are_sumo_s_beyond_junctions_too(tmp_path: Path, hand:
                     assert table[f"{column}_closing"] == pytest.approx(nearer, abs=1e-4)
             found += (ahead < 200.0) + (back < 200.0)
     assert found > 50 and beyond
-
-
-def test_features_of_the_way_are_those_of_networks(tmp_path: Path) -> None:
-    seen = {
-        "type": "LeadersFollowers",
-        "normalize": False,
-        "features": ["lane_end", "light", "light_seconds"],
-    }
-    env = road(net(tmp_path, kind="traffic_light"), observation=seen)
-    light = env.sumo.trafficlight.getIDList()[0]
-    left = []
-    for _ in range(6):
-        observation = env.step(SLOWER)[0]
-        left.append(observation[-1])
-        planned = env.sumo.trafficlight.getNextSwitch(light) - env.sumo.simulation.getTime()
-        assert observation[-1] == pytest.approx(min(planned, 60.0)) and observation[-2] in (0, 1, 2)
-        assert observation[-3] == 200.0
-    assert np.allclose(np.diff(left), -1.0) or max(left) == 60.0
-    table = {"type": "Kinematics", "features": ["x", "light_seconds"], "normalize": False}
-    env.reset(seed=0, options={"config": {"observation": table}})
-    assert env._observe()[0, 1] > 0.0
-    with pytest.raises(ConfigError, match="networks of your own alone"):
-        DrivingEnv("highway", {"observation": seen})
-    with pytest.raises(ConfigError, match="light_seconds"):
-        road(net(tmp_path), observation={**seen, "features": ["light_second"]})
 
 
 # -- info, and terms of a reward -----------------------------------------------------------------------------------

@@ -25,12 +25,14 @@ SEE_BEHIND = {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h
 SEEDED: dict[str, Any] = {"scenarios": "seeded"}
 
 
-def pair(task: str, mode: str = "NextStep", threads: int = 1, **keywords: Any) -> tuple[Any, Any]:
+def pair(
+    task: str, mode: str = "NextStep", threads: int = 1, version: int = 0, **keywords: Any
+) -> tuple[Any, Any]:
     """A batch, and gymnasium's loop over single environments."""
-    id = f"replica/{task}-v0"
-    ours = gym.make_vec(id, num_envs=ENVS, autoreset_mode=mode, threads=threads, **keywords)
+    spec = gym.spec(f"replica/{task}-v{version}")
+    ours = gym.make_vec(spec, num_envs=ENVS, autoreset_mode=mode, threads=threads, **keywords)
     loop = {"autoreset_mode": mode}
-    theirs = gym.make_vec(id, num_envs=ENVS, vectorization_mode="sync", vector_kwargs=loop, **keywords)
+    theirs = gym.make_vec(spec, num_envs=ENVS, vectorization_mode="sync", vector_kwargs=loop, **keywords)
     assert isinstance(ours, ReplicaVectorEnv) and isinstance(theirs, SyncVectorEnv)
     for space in ("observation_space", "action_space", "single_observation_space", "single_action_space"):
         assert getattr(ours, space) == getattr(theirs, space)
@@ -43,11 +45,20 @@ def assert_equal(ours: Any, theirs: Any) -> None:
     assert_same_bits(ours, theirs, LEFT_OUT)
 
 
+def drawn(envs: Any, rng: np.random.Generator) -> np.ndarray:
+    """Random actions; of numbers, one has the 0 that the roundabout's reward takes for a lane change."""
+    if isinstance(envs.single_action_space, gym.spaces.Discrete):
+        return rng.integers(envs.single_action_space.n, size=ENVS)
+    numbers = rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
+    numbers[rng.integers(ENVS), -1] = 0.0
+    return numbers
+
+
 def drive_both(envs: tuple[Any, Any], steps: int, seed: int) -> int:
     """The same random actions for both; returns how many episodes ended."""
     rng, ended = np.random.default_rng(seed), 0
     for _ in range(steps):
-        actions = rng.integers(envs[0].single_action_space.n, size=ENVS)
+        actions = drawn(envs[0], rng)
         ours, theirs = (env.step(actions) for env in envs)
         assert_equal(ours, theirs)
         over = ours[2] | ours[3]
@@ -102,6 +113,24 @@ def test_episodes_are_those_of_single_environments(task: str, keywords: dict[str
     envs = pair(task, **keywords)
     assert_equal(*(env.reset(seed=7) for env in envs))
     assert drive_both(envs, 80, seed=7) >= 2 * ENVS
+
+
+STEERING = {"type": "ContinuousAction"}
+STEERED: list[tuple[str, int, dict[str, Any], int]] = [  # task, version, configuration, threads
+    ("intersection", 1, {}, 1),
+    ("highway", 0, {"action": STEERING}, 2),
+    ("two-way", 0, {"action": STEERING, "observation": {"type": "Kinematics"}}, 1),
+    ("roundabout", 1, {"action": {**STEERING, "lateral": False}}, 2),
+    ("roundabout", 0, {"action": {"type": "DiscreteAction"}}, 1),
+    ("u-turn", 1, {"action": {**STEERING, "dynamical": True}, "observation": {"type": "Kinematics"}}, 2),
+]
+
+
+@pytest.mark.parametrize(("task", "version", "config", "threads"), STEERED, ids=str)
+def test_steered_ones_too(task: str, version: int, config: dict[str, Any], threads: int) -> None:
+    envs = pair(task, "SameStep" if threads == 2 else "NextStep", threads, version, config=config)
+    assert_equal(*(env.reset(seed=[3, 1, 8, 1]) for env in envs))
+    drive_both(envs, 40, seed=0)
 
 
 @pytest.mark.parametrize(

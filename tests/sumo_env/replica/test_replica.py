@@ -16,7 +16,7 @@ from experiments.backends import make_env
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import states
 from sumo_env.env import DrivingEnv
-from sumo_env.replica.compiled import _drop_stale, compiled
+from sumo_env.replica.compiled import compiled
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, power, tan, unary
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
@@ -106,13 +106,6 @@ def stale(folder: Path) -> Path:
     index.touch()
     os.utime(index, (0.0, 0.0))
     return index
-
-
-def test_stale_machine_code_is_removed_from_every_directory_of_numba(tmp_path: Path) -> None:
-    old, new = stale(tmp_path), tmp_path / "kernels.cube-1.py311.nbi"
-    new.touch()
-    _drop_stale(str(tmp_path))
-    assert not old.exists() and new.exists()
 
 
 def test_stale_machine_code_that_cannot_be_removed_is_not_used(

@@ -22,7 +22,6 @@ from sumo_env.replica.env import ReplicaEnv
 from tests.tasks import every_task
 
 from .pairs import EQUAL, SLOW_EQUAL, episode, unfused
-from .test_batch import assert_equal
 
 FEW = {"highway": 1, "two-way": 2, "roundabout": 1, "intersection": 1, "u-turn": 2}
 EACH = 200  # episodes of each task in the long comparison
@@ -177,41 +176,6 @@ def test_later_versions_are_the_same_in_99_percent(
     ]
     print(f"{id}: {EACH - len(found)} of {EACH} episodes the same to {slow}", *found, sep="\n")
     assert len(found) <= 0.01 * EACH
-
-
-# -- in batches ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("id", "config", "threads"),
-    [
-        ("intersection-v1", {}, 1),
-        ("highway-v0", {"action": STEERING}, 2),
-        ("two-way-v0", {"action": STEERING, "observation": TABLE}, 1),
-        ("roundabout-v1", {"action": {**STEERING, "lateral": False}}, 2),
-        ("roundabout-v0", {"action": {"type": "DiscreteAction"}}, 1),
-        ("u-turn-v1", {"action": {**STEERING, "dynamical": True}, "observation": TABLE}, 2),
-    ],
-    ids=str,
-)
-def test_a_batch_drives_the_episodes_of_single_environments(
-    id: str, config: dict[str, Any], threads: int
-) -> None:
-    mode = "SameStep" if threads == 2 else "NextStep"
-    spec = gym.spec(f"replica/{id}")
-    ours: Any = gym.make_vec(spec, num_envs=4, autoreset_mode=mode, threads=threads, config=config)
-    loop = {"autoreset_mode": mode}
-    theirs: Any = gym.make_vec(spec, num_envs=4, vectorization_mode="sync", vector_kwargs=loop, config=config)
-    assert type(ours) is not type(theirs)
-    assert_equal(*(env.reset(seed=[3, 1, 8, 1]) for env in (ours, theirs)))
-    rng = np.random.default_rng(0)
-    for step in range(40):
-        if ours.single_action_space.shape:
-            actions: Any = rng.uniform(-1.0, 1.0, ours.action_space.shape).astype(np.float32)
-            actions[step % 4, -1] = 0.0  # which the roundabout's reward takes for a lane change
-        else:
-            actions = rng.integers(ours.single_action_space.n, size=4)
-        assert_equal(*(env.step(actions) for env in (ours, theirs)))
 
 
 # -- the type of action --------------------------------------------------------------------------------------------

@@ -135,25 +135,6 @@ def test_a_vehicle_of_the_files_keeps_its_id_and_an_added_one_finds_another(town
     assert added.ego_id != "ego" and "ego" in added.scene.ids and len(added.scene) > 3
 
 
-def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -> None:
-    types = tmp_path / "types.add.xml"
-    types.write_text(
-        '<additional><vType id="heavy" vClass="truck" accel="1.1" decel="3.3" length="11"/></additional>'
-    )
-    config = {"policy_frequency": 10, "duration": 30}
-    env = SumoDrivingEnv(town, additional=types, ego_route=WAY, ego_type="heavy", config=config)
-    env.reset(seed=0)
-    assert env.scene.size(env.ego_id)[0] == 11.0
-    changes = []
-    for number in range(120):
-        before = env.sumo.vehicle.getSpeed(env.ego_id)
-        if env.step(SLOWER if number % 60 < 25 else FASTER)[2]:
-            break
-        changes.append((env.sumo.vehicle.getSpeed(env.ego_id) - before) * 10.0)
-    assert max(changes) == pytest.approx(1.1, abs=0.01)
-    assert min(changes) == pytest.approx(-3.3, abs=0.01)
-
-
 def test_a_key_without_effect_is_named(town: Path) -> None:
     net, routes = town.with_name("grid.net.xml"), town.with_name("t.rou.xml")
     env = SumoDrivingEnv(net, routes, ego_route=WAY, config={"vehicles_count": 30})
@@ -345,24 +326,6 @@ def test_distances_are_seen_as_far_as_five_seconds_at_the_limit(tmp_path: Path) 
         ahead = ("x", "lane_end", "light_distance", "leader_gap")
         assert [ranges[name][1] for name in ahead] == pytest.approx([sight] * 4)
         assert ranges["vx"] == pytest.approx([-2 * limit, 2 * limit])
-
-
-def test_what_an_observation_leaves_out_is_the_network_s(town: Path) -> None:
-    some: tuple[dict[str, Any], ...] = (
-        {},
-        {"vehicles_count": 2},
-        {"features": ["vx", "light"], "vehicles_count": 1},
-    )
-    whole, less, other = (
-        SumoDrivingEnv(
-            town, ego_trips=[("B2B1", "A1A0")], config={"observation": {"type": "Kinematics", **given}}
-        )
-        for given in some
-    )
-    table = whole.reset(seed=1)[0]
-    assert less.reset(seed=1)[0].tolist() == table[:2].tolist()
-    columns = [whole.default_config()["observation"]["features"].index(name) for name in ("vx", "light")]
-    assert other.reset(seed=1)[0].tolist() == [table[0, columns].tolist()]
 
 
 # -- SUMO of an environment --------------------------------------------------------------------------------

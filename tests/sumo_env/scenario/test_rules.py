@@ -103,16 +103,6 @@ def test_a_turn_is_missed_where_the_ego_can_no_longer_turn(tmp_path: Path) -> No
     assert number(env) == 2 and np.isinf(env.scene.place.free)
 
 
-def test_a_turn_behind_a_solid_line_is_missed_at_once(tmp_path: Path) -> None:
-    """Between lane 1 and lane 2 nobody may change, so that the turn is lost with the last lane change."""
-    net = road(tmp_path, '<lane index="1" changeLeft="truck"/>')
-    env = start(net, "bd")
-    assert number(env) == 2
-    while number(env) == 2:
-        over = env.step(RIGHT)[2]
-    assert over and env.scene.place.ended == "missed turn"
-
-
 @pytest.mark.parametrize("left_hand", [False, True])
 def test_left_is_left_where_people_drive_on_the_left(tmp_path: Path, left_hand: bool) -> None:
     env = start(road(tmp_path, "", f"--lefthand={str(left_hand).lower()}"))
@@ -263,20 +253,6 @@ def test_a_red_light_that_turns_green_as_the_ego_passes_is_not_run(tmp_path: Pat
 
 
 # -- arrival -------------------------------------------------------------------------------------------------------
-
-
-def test_who_stands_until_sumo_takes_it_off_the_last_edge_has_not_arrived(tmp_path: Path) -> None:
-    action = {"type": "DiscreteMetaAction", "target_speeds": [0.0, 5.0, 20.0]}
-    net = build(tmp_path, ("a 0 0, b 3000 0", "ab a b 1 20"))
-    config = {**QUIET, "duration": 60, "action": action}
-    env = SumoDrivingEnv(net, [], ["ab"], config, sumo_options=["--time-to-teleport=10"])
-    env.reset(seed=0)
-    paid, over = 0.0, False
-    while not over:
-        _, reward, over, _, info = env.step(SLOWER)
-        paid += reward
-    assert (info["ending"], info["arrived"]) == ("removed", False) and paid < 0.2
-    env.close()
 
 
 @pytest.mark.parametrize(("place", "length"), [("100", 100.0), ("-20", 480.0), ("max", 500.0)])

@@ -83,13 +83,6 @@ def test_a_lane_change_crosses_the_line_when_highway_env_s_does(simulator: SumoS
     assert np.all(np.diff(y) <= 0.0) and np.all(np.abs(y[17:] - 4.0) < 0.1)
 
 
-def test_two_lane_changes_in_a_row_are_both_made(start: Start) -> None:
-    env = start("highway", alone, initial_lane_id=3)
-    for action in (LEFT, LEFT, IDLE, IDLE):
-        env.step(action)
-    assert env.scene.y[0] == pytest.approx(4.0, abs=0.01)
-
-
 @pytest.mark.parametrize(
     ("task", "faster", "seconds", "speed"),
     [("u-turn", FASTER, 10, 24.0), ("roundabout", FASTER, 9, 16.0), ("intersection", 2, 9, 9.0)],
@@ -122,17 +115,6 @@ def test_rear_end_crash_is_recorded_and_ends_the_episode(start: Start) -> None:
     assert crash["detected_by"] == "both"
     assert env.scene.crashed.all()
     assert info["min_ttc"] < 1.0 and not info["near_miss"]
-
-
-def test_frontal_crash_on_the_two_way_road(start: Start) -> None:
-    def only_oncoming(scenario: Scenario) -> Scenario:
-        return replace(scenario, vehicles=tuple(v for v in scenario.vehicles if v.lane == ("b", "a", 0)))
-
-    env = start("two-way", only_oncoming)
-    env.step(LEFT)
-    *_, (_, _, terminated, _, info) = drive(env, IDLE)
-    assert terminated and info["crash"]["type"] == "frontal"
-    assert info["crash"]["closing_speed"] > 30.0
 
 
 @pytest.mark.parametrize("departs", [0.0, 0.35])

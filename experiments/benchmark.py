@@ -34,8 +34,8 @@ import pandas as pd
 import tyro
 
 from experiments.backends import make_env
-from experiments.study.design.experiment import TaskNames
 from experiments.study.design.grid import choose_tasks
+from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID
 from experiments.support.errors import run_command, writing
 from experiments.support.files import write_json

@@ -34,8 +34,8 @@ import tyro
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
 from experiments.study.design import grid
-from experiments.study.design.experiment import TaskNames
 from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID, Between, Space, sheet
 from experiments.study.design.traffic import AT_A_DOSE
 from experiments.support.errors import run_command, writing

@@ -27,9 +27,9 @@ import tyro
 
 from experiments.analysis.gates import FAILURES, GATES, gates
 from experiments.study.compute.cells import compute
-from experiments.study.design.experiment import Experiment, argument
 from experiments.study.design.fingerprint import check_dynamics
 from experiments.study.design.grid import Cell
+from experiments.study.design.options import Asked, argument
 from experiments.study.design.presets import cells_of
 from experiments.study.design.sheet import sheet
 from experiments.study.results.store import Results, Store, load
@@ -70,7 +70,7 @@ def cells(candidate: str, updates: int | None = None, episodes: int | None = Non
     if candidate not in CANDIDATES:
         raise unknown("candidate", candidate, CANDIDATES)
     asked = [
-        Experiment(
+        Asked(
             preset="choice",
             tasks=(task,),
             levels=levels,

@@ -25,7 +25,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated
 
 import pandas as pd
@@ -38,9 +38,10 @@ from experiments.study.compute.executors import EXECUTORS, cores
 from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import duration, seconds
 from experiments.study.compute.run import compute_here
-from experiments.study.design.experiment import Experiment, Flag, argument, shard
+from experiments.study.design.experiment import shard
 from experiments.study.design.fingerprint import check_dynamics, check_learners, known_dynamics
 from experiments.study.design.grid import Cell
+from experiments.study.design.options import Asked, argument, parsed
 from experiments.study.design.presets import cells_of, complete
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
@@ -48,7 +49,7 @@ from experiments.support.errors import UserError, run_command, unknown, writing
 
 
 @dataclass(frozen=True)
-class Options(Experiment):
+class Options(Asked):
     """Train and test the agents of both arms and the baselines, then write the report."""
 
     out: Annotated[Path | None, argument("DIR", "results/BACKEND-PRESET")] = None
@@ -61,16 +62,13 @@ class Options(Experiment):
     """Compute only this part of the cells, for job arrays."""
     cell: Annotated[str | None, argument("NAME", "all")] = None
     """Compute this cell alone (the beginning of its name is enough) and in this process, to see why it fails."""
-    dry_run: Flag = False
+    dry_run: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Print the cells and an estimate of the time, and compute nothing."""
 
     @property
     def directory(self) -> Path:
         """Where the results go."""
-        return self.out or Path("results") / f"{self.backend}-{self.preset}"
-
-
-LISTS = {f"--{one.name.replace('_', '-')}" for one in fields(Options) if isinstance(one.default, tuple)}
+        return self.out or Path("results") / f"{complete(self).backend}-{self.preset}"
 
 
 def sweep(
@@ -174,24 +172,9 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     )
 
 
-def split_arguments(arguments: Iterable[str]) -> list[str]:
-    """`--tasks highway,u-turn` and `--policy A --policy B` as tyro takes them: with spaces, and each option once."""
-    values: dict[str, list[str]] = {}
-    name = ""
-    for word in arguments:
-        if word.startswith("--"):
-            name, *given = word.split("=", 1)
-        else:
-            given = [word] if name not in LISTS or set("/=") & set(word) else word.split(",")
-        values.setdefault(name, []).extend(given)
-    return [word for name, given in values.items() for word in ([name] if name else []) + given]
-
-
 def main() -> int:
     """The command line."""
-    arguments = split_arguments(sys.argv[1:])
-    options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
-    return sweep(options, sys.argv[1:])
+    return sweep(parsed(Options, sys.argv[1:], __doc__), sys.argv[1:])
 
 
 if __name__ == "__main__":

@@ -28,8 +28,8 @@ import pandas as pd
 import tyro
 
 from experiments.study.design import grid
-from experiments.study.design.experiment import TaskNames
 from experiments.study.design.fingerprint import check_dynamics, dynamics
+from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import STORED, versions

@@ -131,7 +131,7 @@ def write(
             gate_episodes=100,
             learners={task: {"updates": updates, "gamma": 0.95}},
             arms=(*ARMS, *further),
-            **{"preset": "quick", "seeds": 3, **asked},
+            **{"preset": "quick", "about": "", "seeds": 3, **asked},
         ).cells()
     ]
     arms = (*arms, *further, *PAIRS)

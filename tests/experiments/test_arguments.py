@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 import tyro
@@ -15,10 +15,11 @@ from experiments.backends import BACKENDS
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import shard
-from experiments.study.design.presets import PRESETS
+from experiments.study.design.options import parsed, split_arguments
+from experiments.study.design.presets import PRESETS, complete
 from experiments.study.design.traffic import ALL
 from experiments.support.errors import UserError
-from experiments.sweep import Options, cells_of, split_arguments
+from experiments.sweep import Options, cells_of
 from sumo_env.tasks import TASKS
 from tests.processes import ROOT, ended, python
 
@@ -83,8 +84,7 @@ def test_arguments_give_cells_or_one_clear_line(arguments):
 
 def test_every_argument_that_chooses_cells_is_tried():
     others = {"out", "workers", "executor", "cell", "dry_run"}
-    presets_alone = {"about", "learners", "gate_episodes", "first_seed", "first_scenario"}
-    assert {field.name for field in fields(Options)} - others - presets_alone == set(ARGUMENTS)
+    assert {field.name for field in fields(Options)} - others == set(ARGUMENTS)
 
 
 def test_the_help_names_all_that_can_be_asked_for(capsys):
@@ -97,12 +97,31 @@ def test_the_help_names_all_that_can_be_asked_for(capsys):
 
 def test_a_repeated_option_adds_values():
     words = ["--policy", "a:make", "--seeds=2", "--policy", "b.zip", "--placebo", "--policy=c"]
-    assert split_arguments(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
+    assert split_arguments(words, Options) == [
+        "--policy",
+        "a:make",
+        "b.zip",
+        "c",
+        "--seeds",
+        "2",
+        "--placebo",
+        "True",
+    ]
+
+
+def test_an_option_sets_a_preset_back(monkeypatch):
+    """None is not given; an empty list, a flag's "no" and the default's value are."""
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], unseen=True, traffics=("measured",)))
+    given = ["--no-unseen", "--traffics", "--levels", "--arms", "control", "treatment"]
+    found = complete(parsed(Options, given, ""))
+    assert (found.unseen, found.traffics, found.levels) == (False, (), ())
+    assert complete(Options()) == PRESETS["quick"]
+    assert complete(parsed(Options, ["--frontier"], "")).frontier
 
 
 def test_a_comma_separates_what_is_a_list():
     words = ["--tasks", "highway,u-turn", "--out", "a,b"]
-    assert split_arguments(words) == ["--tasks", "highway", "u-turn", "--out", "a,b"]
+    assert split_arguments(words, Options) == ["--tasks", "highway", "u-turn", "--out", "a,b"]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +129,7 @@ def test_a_comma_separates_what_is_a_list():
     [
         ("--tasks highway", {"tasks": ("highway", "u-turn"), "levels": (4,)}),
         ("--test-on sumo", {"test_on": ("sumo", "replica")}),
-        ("--pairs", {"pairs": True, "seeds": 1}),
+        ("--pairs", {"pairs": True, "arms": ("treatment",), "seeds": 1}),
     ],
 )
 def test_an_option_that_asks_for_nothing_is_an_error(option, asked):

@@ -39,7 +39,7 @@ def quick_as_smoke() -> Iterator[None]:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with an agent that was hardly trained."""
     directory = tmp_path_factory.mktemp("mine")
-    assert train.train(train.Options(out=directory, risk="mixed", updates=60), ["--risk", "mixed"]) == 0
+    assert train.train(train.Options(out=directory, arms=("mixed",), updates=60), ["--arms", "mixed"]) == 0
     return directory
 
 
@@ -113,7 +113,7 @@ def test_the_scenario_is_chosen_by_a_rule_that_is_said() -> None:
 
 def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="did you mean 'mixed'"):
-        train.agent_and_others(train.Options(out=tmp_path, risk="mixd"))
+        train.cells(train.Options(out=tmp_path, arms=("mixd",)))
     with pytest.raises(UserError, match="there are: sumo-u-turn-3-mixed-s0"):
         watch.watch(watch.Options(trained, agent="treatment"))
     with pytest.raises(UserError, match="no trained agent"):
@@ -126,7 +126,9 @@ def test_an_agent_can_be_published_and_loaded(tmp_path: Path) -> None:
     """With its card, and driving as it did, also where it observes the time."""
     file, settings = tmp_path / "agents.npz", {"intersection": "intersection-10", "u-turn": "u-turn-3"}
     for task in settings:
-        train.train(train.Options(task=task, out=tmp_path, risk="0", updates=60), ["--risk", "0"])
+        train.train(
+            train.Options(tasks=(task,), out=tmp_path, arms=("control",), updates=60), ["--arms", "control"]
+        )
     publish.main(tmp_path, file)
     assert list(agents.cards(file)) == [f"{setting}/control" for setting in settings.values()]
     for task, setting in settings.items():

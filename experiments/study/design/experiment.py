@@ -7,9 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
-from typing import Annotated, Any
-
-import tyro
+from typing import Any
 
 from agents.plugins import foreign
 from agents.rules import CAUTIONS, POLICIES
@@ -29,7 +27,6 @@ from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, UNSEEN, traffic_named, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
-from sumo_env.tasks import TASKS
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 ELSEWHERE = 200  # test episodes of a pair in each other traffic, at most
@@ -37,74 +34,41 @@ Dynamics = Callable[[str, str], str]
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
 
-def argument(metavar: str, default: str = "the preset's", help: str | None = None) -> Any:
-    """How an option is shown in the help text."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})", help=help)
-
-
-TaskNames = Annotated[
-    tuple[str, ...], argument("TASK ...", f"the {len(GRID)} of the study", f"Some of {', '.join(TASKS)}.")
-]
-
-
-Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
-PRESETS_ALONE = (tyro.conf.Suppress, tyro.conf.Fixed)  # no option of a command
-
-
 @dataclass(frozen=True)
 class Experiment:
-    """What an experiment consists of; what has its default is left to the preset (`presets.complete`).
+    """All that an experiment consists of, as a preset (`presets`) and the options of a sweep (`options.Asked`) say.
 
-    The sweep's options are one, so that the text below a field is the help of an option. Presets alone set about;
-    learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `rules.TrainingRules`;
-    gate_episodes: episodes in each traffic for the gates, by default as many as test episodes;
-    first_seed, first_scenario: where training seeds and test scenarios begin, so that studies share none.
+    learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `rules.TrainingRules`, before
+    updates, network, settings and crash_reward, which are the same for all tasks. gate_episodes: episodes in each
+    traffic for the gates. levels: none are all. first_seed, first_scenario: where training seeds and test scenarios
+    begin, so that studies share none. The others are options.
     """
 
-    backend: Annotated[str, argument("NAME", "sumo")] = "sumo"
-    """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
-    preset: Annotated[str, argument("NAME", "quick")] = "quick"
-    """Size: smoke (a minute), quick (10 minutes), choice, study, paper (hours)."""
-    tasks: TaskNames = ()
-    levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()
-    """Traffic levels by number; 1 is the lightest."""
-    seeds: Annotated[int | None, argument("N")] = None
-    """Training seeds in each arm."""
-    episodes: Annotated[int | None, argument("N")] = None
-    """Test episodes in each of the two traffics."""
-    updates: Annotated[int | None, argument("N")] = None
-    """Training budget of an agent in updates, the same for all tasks."""
-    arms: Annotated[tuple[str, ...], argument("ARM ...", "control treatment")] = ()
-    """control, treatment, dose25, dose50, dose75 (tested at these too), mixed, told (mixed, the dose is observed)."""
-    placebo: Flag = False
-    """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
-    test_on: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
-    """Other simulators on which the trained agents are tested as well."""
-    unseen: Flag = False
-    """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
-    traffics: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
-    """Further traffics to test in: measured (drivers as published), or any other one by its name."""
-    frontier: Flag = False
-    """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
-    pairs: Flag = False
-    """Also test two agents together, of seeds k and k + half of the seeds: their Q-values averaged, by a belief too."""
-    config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
-    """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
-    crash_reward: Annotated[float | None, argument("X", "none")] = None
-    """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
-    learner: Annotated[str, argument("NAME", "dqn")] = LEARNER
-    """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
-    settings: Annotated[tuple[str, ...], argument("KEY=VALUE ...")] = ()
-    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/stable.py)."""
-    network: Annotated[str | None, argument("NAME")] = None
-    """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
-    policy: Annotated[tuple[str, ...], argument("FILE:MAKE ...", "none")] = ()
-    """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
-    about: Annotated[str, *PRESETS_ALONE] = ""
-    learners: Annotated[Mapping[str, Mapping[str, Any]] | None, *PRESETS_ALONE] = None
-    gate_episodes: Annotated[int | None, *PRESETS_ALONE] = None
-    first_seed: Annotated[int, *PRESETS_ALONE] = 0
-    first_scenario: Annotated[int, *PRESETS_ALONE] = 0
+    preset: str
+    about: str
+    learners: Mapping[str, Mapping[str, Any]]
+    seeds: int
+    episodes: int
+    gate_episodes: int
+    backend: str = "sumo"
+    tasks: tuple[str, ...] = ()
+    levels: tuple[int, ...] = ()
+    arms: tuple[str, ...] = ARMS
+    placebo: bool = False
+    test_on: tuple[str, ...] = ()
+    unseen: bool = False
+    traffics: tuple[str, ...] = ()
+    frontier: bool = False
+    pairs: bool = False
+    config: tuple[str, ...] = ()
+    crash_reward: float | None = None
+    learner: str = LEARNER
+    updates: int | None = None
+    settings: tuple[str, ...] = ()
+    network: str | None = None
+    policy: tuple[str, ...] = ()
+    first_seed: int = 0
+    first_scenario: int = 0
 
     @in_words()
     def cells(self, dynamics: Dynamics = dynamics) -> list[Cell]:
@@ -154,10 +118,8 @@ class Experiment:
 
     def _common(self, task: str, level: int, dynamics: Dynamics) -> Cell:
         """What the cells of a task and level have in common, as a baseline without a policy."""
-        episodes = self.episodes or 0
-        if episodes < 1:
-            raise UserError(f"at least one test episode is needed, not {episodes}")
-        gates = episodes if self.gate_episodes is None else self.gate_episodes
+        if self.episodes < 1:
+            raise UserError(f"at least one test episode is needed, not {self.episodes}")
         # Not in the names of cells that begin at 0, which are older than the choice.
         first = {"first_scenario": self.first_scenario} if self.first_scenario else {}
         return Cell(
@@ -171,18 +133,16 @@ class Experiment:
             policy="",
             profile={"preset": self.preset},
             env_config=env_config(self.backend, task, level, self._changes),
-            eval={"episodes": episodes, "gate_episodes": gates, **first},
+            eval={"episodes": self.episodes, "gate_episodes": self.gate_episodes, **first},
             dynamics=dynamics(self.backend, task),
         )
 
     def _agents(self, common: Cell) -> Iterator[Cell]:
         """The agents of a task and level: every arm of each training seed."""
-        seeds, arms = self.seeds or 0, dict.fromkeys(self.arms or ARMS)
+        seeds, arms = self.seeds, dict.fromkeys(self.arms or ARMS)
         if seeds < 1:
             raise UserError(f"at least one seed is needed, not {seeds}")
         if self.placebo:
-            if self.arms:
-                raise UserError("--placebo trains control agents alone: leave out --arms")
             seeds, arms = max(2 * seeds, PLACEBO_SEEDS), {"control": None}
         for arm in arms:
             if arm not in EVERY_ARM:
@@ -223,7 +183,7 @@ class Experiment:
     def _pairs(self, agents: Sequence[Cell]) -> Iterator[Cell]:
         """The tests of two agents together; those that are told nothing also elsewhere."""
         by_place = {(agent.arm, agent.seed): agent for agent in agents}
-        half = (self.seeds or 0) // 2
+        half = self.seeds // 2
         for first, (name, pair) in product(range(self.first_seed, self.first_seed + half), PAIRS.items()):
             one, other = (by_place.get(place) for place in zip(pair.arms, (first, first + half), strict=True))
             if one is None or other is None:
@@ -247,7 +207,7 @@ class Experiment:
         from agents.learners import learner
         from agents.models import network_class
 
-        said = {**(self.learners or {})[task]}
+        said = {**self.learners[task]}
         rules = TrainingRules(**{name: said.pop(name) for name in RULES if name in said})
         if self.crash_reward is not None:
             if not math.isfinite(self.crash_reward):

@@ -9,8 +9,9 @@ from typing import Any
 from experiments.study.design.experiment import Dynamics, Experiment
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import Cell
+from experiments.study.design.options import Asked
 from experiments.study.design.sheet import SHEETS
-from experiments.support.errors import unknown
+from experiments.support.errors import UserError, unknown
 
 # Training episodes of an agent in the paper. Budgets are counted in updates, equal for both arms: the number of
 # target copies sets how far an agent looks ahead, and with it its appetite for risk, while equal numbers of episodes
@@ -104,22 +105,20 @@ PRESETS = {
 }
 
 
-def complete(asked: Experiment) -> Experiment:
+def complete(asked: Asked) -> Experiment:
     """What is asked for, and for the rest what its preset says.
 
     Raises:
-        UserError: there is no such preset.
+        UserError: there is no such preset, or two options contradict each other.
     """
     if asked.preset not in PRESETS:
         raise unknown("preset", asked.preset, PRESETS)
-    given = {
-        field.name: value
-        for field in fields(Experiment)
-        if (value := getattr(asked, field.name)) != field.default
-    }
-    return replace(PRESETS[asked.preset], **given)
+    if asked.placebo and asked.arms:
+        raise UserError("--placebo trains control agents alone: leave out --arms")
+    given = {field.name: getattr(asked, field.name) for field in fields(Asked)}
+    return replace(PRESETS[asked.preset], **{name: v for name, v in given.items() if v is not None})
 
 
-def cells_of(asked: Experiment, dynamics: Dynamics = dynamics) -> list[Cell]:
+def cells_of(asked: Asked, dynamics: Dynamics = dynamics) -> list[Cell]:
     """All cells of what is asked for. Raises UserError where something does not exist or makes no sense."""
     return complete(asked).cells(dynamics)

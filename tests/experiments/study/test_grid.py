@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -10,6 +11,7 @@ from agents.streams import episode_seed
 from experiments.study.design import experiment, grid
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.design.experiment import Experiment
+from experiments.study.design.options import Asked
 from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import unseen_traffics
 from experiments.support.errors import UserError
@@ -18,7 +20,8 @@ from sumo_env.tasks import TASKS
 
 def cells(levels: dict | None = None, **options) -> list[grid.Cell]:
     learners = {task: {"updates": 100} for task in TASKS}
-    asked = {"seeds": 2, "episodes": 5, "learners": learners, **options}
+    sizes = {"preset": "own", "about": "", "seeds": 2, "episodes": 5, "gate_episodes": 5}
+    asked: dict[str, Any] = {**sizes, "learners": learners, **options}
     return [
         cell
         for task, numbers in (levels or {"highway": (1,)}).items()
@@ -130,7 +133,7 @@ def test_seeds_of_tests_and_of_trainings_are_apart_from_each_other():
 @pytest.mark.parametrize("learner", ["dqn", "sb3-dqn", "sb3-ppo"])
 def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
     def steps(**asked) -> dict[str, int]:
-        found = cells_of(Experiment(backend="replica", levels=(1,), arms=("control",), **asked))
+        found = cells_of(Asked(backend="replica", levels=(1,), arms=("control",), **asked))
         return {cell.task: cell.budget[0] for cell in found if cell.kind == "agent"}
 
     ours = steps(preset="study")
@@ -138,7 +141,7 @@ def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
 
 
 def test_the_study_has_seeds_and_scenarios_that_no_other_preset_has() -> None:
-    study = cells_of(Experiment(preset="study"))
+    study = cells_of(Asked(preset="study"))
     agents = [cell for cell in study if cell.kind == "agent"]
     places = {(cell.task, cell.level_name) for cell in agents}
     assert len(places) == 18 and len(agents) == 18 * 2 * 5

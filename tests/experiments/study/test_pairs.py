@@ -12,8 +12,8 @@ import torch
 from agents.belief import Estimator
 from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
-from experiments.study.design.experiment import Experiment
 from experiments.study.design.grid import Cell, cell_name
+from experiments.study.design.options import Asked
 from experiments.study.design.presets import cells_of
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError
@@ -39,7 +39,7 @@ def own_estimators(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def pairs(**asked: Any) -> dict[str, Cell]:
     """The tests of pairs by slug."""
-    cells = cells_of(Experiment(preset="smoke", tasks=("u-turn",), **{**ASKED, **asked}), known)
+    cells = cells_of(Asked(preset="smoke", tasks=("u-turn",), **{**ASKED, **asked}), known)
     return {cell.slug: cell for cell in cells if cell.pair}
 
 
@@ -73,7 +73,7 @@ class TestCells:
         assert cell_name(key, cell.versions) != cell.name
 
     def test_no_other_cell_knows_of_pairs(self, own_estimators: Path) -> None:
-        asked = Experiment(preset="smoke", tasks=("u-turn",), unseen=True)
+        asked = Asked(preset="smoke", tasks=("u-turn",), unseen=True)
         assert not any(
             "pair" in cell.key() or "estimator" in str(cell.key()) for cell in cells_of(asked, known)
         )

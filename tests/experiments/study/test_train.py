@@ -24,10 +24,13 @@ PROFILE = {"network": "dueling", "updates": 60, "steps_per_update": 2, "warm_up"
 
 def cell(arm: str, **profile: object) -> Cell:
     asked = Experiment(
+        preset="own",
+        about="",
         tasks=("u-turn",),
         levels=(1,),
         seeds=1,
         episodes=3,
+        gate_episodes=3,
         arms=(arm,),
         learners={"u-turn": {**PROFILE, **profile}},
         first_seed=2,

@@ -10,8 +10,8 @@ import pytest
 from agents.rules import make_policy
 from experiments.backends import make_env
 from experiments.study.compute.evaluate import drives, evaluate
-from experiments.study.design.experiment import Experiment
 from experiments.study.design.grid import env_config
+from experiments.study.design.options import Asked
 from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
 from experiments.support.errors import UserError
@@ -99,13 +99,13 @@ def test_measured_drivers_stand_in_the_places_of_regular_traffic_and_leave_nothi
 def test_a_sweep_tests_in_further_traffic_by_name() -> None:
     options: dict[str, Any] = {"preset": "smoke", "tasks": ("highway",), "arms": ("control",)}
     before, cells = (
-        {cell.name: cell for cell in cells_of(Experiment(**options, traffics=names))}
+        {cell.name: cell for cell in cells_of(Asked(**options, traffics=names))}
         for names in ((), ("measured",))
     )
     (added,) = cells.keys() - before.keys()
     assert cells[added].tested["traffics"] == ["measured"] and cells[added].parent.name in before
     with pytest.raises(UserError, match="measured has drivers that replica has not"):
-        cells_of(Experiment(**options, backend="replica", traffics=("measured",)))
+        cells_of(Asked(**options, backend="replica", traffics=("measured",)))
 
 
 def test_every_traffic_is_one_row_and_an_unknown_one_is_named() -> None:

@@ -1,0 +1,97 @@
+"""What a user asks for: the options that choose the cells of a sweep, each None where it is left to the preset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+
+import tyro
+
+from experiments.study.design.sheet import GRID
+from sumo_env.tasks import TASKS
+
+
+def argument(metavar: str, default: str = "the preset's", help: str | None = None) -> Any:
+    """How an option is shown in the help text."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})", help=help)
+
+
+TASK = argument("TASK ...", f"the {len(GRID)} of the study", f"Some of {', '.join(TASKS)}.")
+TaskNames = Annotated[tuple[str, ...], TASK]
+T = TypeVar("T")
+Names = tuple[str, ...] | None
+Flag = Annotated[bool | None, tyro.conf.arg(metavar="", help_behavior_hint="")]  # see `split_arguments`
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The options of a sweep as they are given; the text below one is its help. `presets.complete` adds the rest."""
+
+    backend: Annotated[str | None, argument("NAME", "sumo")] = None
+    """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
+    preset: Annotated[str, argument("NAME", "quick")] = "quick"
+    """Size: smoke (a minute), quick (10 minutes), choice, study, paper (hours)."""
+    tasks: Annotated[Names, TASK] = None
+    levels: Annotated[tuple[int, ...] | None, argument("LEVEL ...")] = None
+    """Traffic levels by number; 1 is the lightest, none are all."""
+    seeds: Annotated[int | None, argument("N")] = None
+    """Training seeds in each arm."""
+    episodes: Annotated[int | None, argument("N")] = None
+    """Test episodes in each of the two traffics."""
+    updates: Annotated[int | None, argument("N")] = None
+    """Training budget of an agent in updates, the same for all tasks."""
+    arms: Annotated[Names, argument("ARM ...", "control treatment")] = None
+    """control, treatment, dose25, dose50, dose75 (tested at these too), mixed, told (mixed, the dose is observed)."""
+    placebo: Flag = None
+    """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
+    test_on: Annotated[Names, argument("NAME ...", "none")] = None
+    """Other simulators on which the trained agents are tested as well."""
+    unseen: Flag = None
+    """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
+    traffics: Annotated[Names, argument("NAME ...", "none")] = None
+    """Further traffics to test in: measured (drivers as published), or any other one by its name."""
+    frontier: Flag = None
+    """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
+    pairs: Flag = None
+    """Also test two agents together, of seeds k and k + half of the seeds: their Q-values averaged, by a belief too."""
+    config: Annotated[Names, argument("KEY=VALUE ...", "none")] = None
+    """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
+    crash_reward: Annotated[float | None, argument("X", "none")] = None
+    """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
+    learner: Annotated[str | None, argument("NAME", "dqn")] = None
+    """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
+    settings: Annotated[Names, argument("KEY=VALUE ...")] = None
+    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/stable.py)."""
+    network: Annotated[str | None, argument("NAME")] = None
+    """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
+    policy: Annotated[Names, argument("FILE:MAKE ...", "none")] = None
+    """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
+
+
+def parsed(kind: type[T], arguments: Iterable[str], about: str | None) -> T:
+    """The options of a command line. about: the command, for the help."""
+    words = split_arguments(arguments, kind)
+    return tyro.cli(kind, args=words, description=about, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def split_arguments(arguments: Iterable[str], kind: type[Any]) -> list[str]:
+    """`--tasks highway,u-turn`, `--policy A --policy B`, `--pairs` and `--no-pairs` as tyro takes them.
+
+    That is with spaces, each option once, and a flag with its value.
+    """
+    kinds = {f"--{name.replace('_', '-')}": get_args(hint) for name, hint in get_type_hints(kind).items()}
+    lists = {option for option, found in kinds.items() if any(get_origin(one) is tuple for one in found)}
+    values: dict[str, list[str]] = {}
+    name = ""
+    for word in arguments:
+        if word.startswith("--"):
+            name, *given = word.split("=", 1)
+            flag = f"--{name.removeprefix('--').removeprefix('no-')}"
+            if bool in kinds.get(flag, ()):
+                values[flag] = [str(flag == name)]
+                continue
+        else:
+            given = [word] if name not in lists or set("/=") & set(word) else word.split(",")
+        values.setdefault(name, []).extend(given)
+    return [word for name, given in values.items() for word in ([name] if name else []) + given]

@@ -2,9 +2,8 @@
 
 `Estimator` reads the vehicles that `agents.rules.perception` follows from one table to the next, one by one, and
 remembers what it has read. It is trained on episodes whose dose is known (`fit`) and needs none afterwards.
-`Weighed` averages the Q-values of two trained agents (QMDP: Littman, Cassandra and Kaelbling 1995), `MoreCareful` takes
-the action of one of them. Both read a column of the observation, which one of the wrappers adds: the estimate, the
-estimate of another episode, or any number.
+`Together` is two trained agents who drive as one. It reads the belief from a column of the observation, which one of
+the wrappers adds: the estimate, the estimate of another episode, or any number.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import copy
 from collections.abc import Iterator, Sequence
 from itertools import chain, repeat
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -25,7 +24,6 @@ from agents.greedy import Greedy, best, with_weights
 from agents.rules.perception import Perception, View
 from agents.streams import stream
 
-Rule = Sequence[float]  # sharpness and threshold of `sharpened`
 EGO, VEHICLE = 7, 10  # numbers that are read of the ego and of each vehicle
 WIDTH = 48
 EPOCHS, BATCH, RATE = 15, 128, 3e-3
@@ -116,11 +114,11 @@ def sharpened(belief: float, sharpness: float, threshold: float) -> float:
 
 
 class BeliefObserved(Observed):
-    """Shows what an estimator says of the episode so far, as a weight by `sharpened` where a rule is given."""
+    """Shows what an estimator says of the episode so far: how likely its dose is 1."""
 
-    def __init__(self, env: Env, estimator: Estimator, rule: Rule = (1.0, 0.5)) -> None:
+    def __init__(self, env: Env, estimator: Estimator) -> None:
         super().__init__(env, self._see)
-        self._perception, self._estimator, self._rule = Perception(env), estimator, rule
+        self._perception, self._estimator = Perception(env), estimator
         self._memory: Tensor | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
@@ -135,14 +133,14 @@ class BeliefObserved(Observed):
         logits, self._memory = self._estimator(
             *(torch.from_numpy(part)[None, None] for part in view), self._memory
         )
-        return sharpened(float(torch.sigmoid(logits[0, 0])), *self._rule)
+        return float(torch.sigmoid(logits[0, 0]))
 
 
 class ShuffledObserved(Observed):
     """Shows what the estimator has said in another episode, which the seed of `reset` draws."""
 
-    def __init__(self, env: Env, estimator: Estimator, rule: Rule = (1.0, 0.5)) -> None:
-        super().__init__(env, lambda _: sharpened(float(next(self._trace)), *rule))
+    def __init__(self, env: Env, estimator: Estimator) -> None:
+        super().__init__(env, lambda _: float(next(self._trace)))
         self._traces: Tensor = estimator.traces
         self._trace: Iterator[Tensor] = iter(())
 
@@ -153,56 +151,48 @@ class ShuffledObserved(Observed):
         return super().reset(seed=seed, **kwargs)
 
 
-class Weighed:
-    """The action of highest (1 - w) Q1 + w Q2, where w is the last column of the ego's row and neither agent's own.
+class Rule(NamedTuple):
+    """Which of two agents' actions is taken, given a belief.
+
+    careful_steps: in so many first steps of an episode it is the more careful one. unsure: so it is at beliefs from the
+    first of these to the second. weighed: everywhere else it is the action of highest (1 - w) Q1 + w Q2, with the
+    weight w of `sharpened` (QMDP: Littman, Cassandra and Kaelbling 1995), this sharpness and threshold; None: the first
+    agent's below .5, and the second's above.
+    """
+
+    careful_steps: int = 0
+    unsure: Sequence[float] | None = None
+    weighed: Sequence[float] | None = None
+
+
+class Together:
+    """Two agents who drive as one, by a rule and a belief: the last column of the ego's row, and neither agent's own.
 
     The agents' weights are rounded to half precision, in which they are published; the agents given stay as they are.
+
+    by_caution: the actions, the most careful first.
     """
 
-    def __init__(self, first: Greedy, second: Greedy) -> None:
+    def __init__(self, first: Greedy, second: Greedy, by_caution: Sequence[int], rule: Rule) -> None:
         self._agents = in_half_precision(first), in_half_precision(second)
+        self._by_caution, self._rule, self._taken = by_caution, rule, 0
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begin an episode."""
+        self._taken = 0
 
     def act(self, observation: np.ndarray) -> int:
         """The action. Raises ValueError when its value is no finite number."""
-        weight, table = float(observation[0, -1]), observation[:, :-1]
+        belief, table, rule = float(observation[0, -1]), observation[:, :-1], self._rule
         first, second = (agent.q(table) for agent in self._agents)
+        self._taken += 1
+        low, high = rule.unsure or (1.0, 0.0)
+        if self._taken <= rule.careful_steps or low <= belief <= high:
+            return min(best(first), best(second), key=self._by_caution.index)
+        if rule.weighed is None:
+            return best(first if belief < 0.5 else second)
+        weight = sharpened(belief, *rule.weighed)
         return best((1 - weight) * first + weight * second)
-
-    def reset(self, seed: int | None = None) -> None:
-        """Nothing to do: what changes is observed."""
-
-
-class MoreCareful:
-    """The first agent's action at a low belief, the second's at a high one, and the more careful of both between.
-
-    The belief is the last column of the ego's row and neither agent's own. No values are averaged, so that their scales
-    do not matter. Weights are rounded as in `Weighed`.
-
-    by_caution: the actions, the most careful first. unsure: the more careful action is taken from the first of these
-        beliefs to the second.
-    """
-
-    def __init__(
-        self,
-        first: Greedy,
-        second: Greedy,
-        by_caution: Sequence[int],
-        unsure: tuple[float, float] = (0.2, 0.8),
-    ) -> None:
-        self._agents = in_half_precision(first), in_half_precision(second)
-        self._by_caution, self._unsure = by_caution, unsure
-
-    def act(self, observation: np.ndarray) -> int:
-        """The action. Raises ValueError when its value is no finite number."""
-        belief, table = float(observation[0, -1]), observation[:, :-1]
-        first, second = (agent.act(table) for agent in self._agents)
-        low, high = self._unsure
-        if low <= belief <= high:
-            return min(first, second, key=self._by_caution.index)
-        return first if belief < low else second
-
-    def reset(self, seed: int | None = None) -> None:
-        """Nothing to do: what changes is observed."""
 
 
 def in_half_precision(agent: Greedy) -> Greedy:

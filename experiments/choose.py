@@ -1,8 +1,11 @@
 """Choose the learner's settings: train every candidate, print which gates its agents pass, and name the best.
 
+With --pairs, also how a control and a treated agent drive together, by every rule of `arms.PAIRS`.
+
     python experiments/choose.py results/choice-3                        # all candidates: about an hour and a half each
     python experiments/choose.py results/choice-3 --candidates tuned     # one of them; later ones join the folder
     python experiments/choose.py results/choice-3 --table                # what is there, nothing is computed
+    python experiments/choose.py results/choice-3 --candidates tuned --pairs     # two agents together: ten minutes more
 
 Each candidate is twelve cells of `sweep.py --preset choice --settings ...`: two settings, both arms, three training
 seeds that no report uses. The rule was written before anything was trained: the most passed gates, then the higher
@@ -19,6 +22,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import shlex
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -26,7 +30,10 @@ import pandas as pd
 import tyro
 
 from experiments.analysis.gates import FAILURES, GATES, gates
+from experiments.analysis.pairs import units
+from experiments.analysis.scores import in_order, with_outcomes
 from experiments.study.compute.cells import compute
+from experiments.study.design.arms import ARMS, PAIRS
 from experiments.study.design.fingerprint import check_dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.options import Asked, argument
@@ -61,11 +68,15 @@ class Options:
     """Test episodes in each of the two traffics."""
     workers: Annotated[int | None, argument("N", "the number of cores")] = None
     """Cells that are computed at a time."""
+    pairs: bool = False
+    """Also test the agents of a seed together, by the rules that a plan can register."""
     table: bool = False
     """Print the table of what is there, and compute nothing."""
 
 
-def cells(candidate: str, updates: int | None = None, episodes: int | None = None) -> list[Cell]:
+def cells(
+    candidate: str, updates: int | None = None, episodes: int | None = None, pairs: bool = False
+) -> list[Cell]:
     """The cells of a candidate; baselines are those of all. Raises UserError for one that there is not."""
     if candidate not in CANDIDATES:
         raise unknown("candidate", candidate, CANDIDATES)
@@ -77,6 +88,7 @@ def cells(candidate: str, updates: int | None = None, episodes: int | None = Non
             settings=CANDIDATES[candidate],
             updates=updates,
             episodes=episodes,
+            pairs=pairs,
         )
         for task, levels in PLACES.items()
     ]
@@ -115,6 +127,34 @@ def summary(found: pd.DataFrame) -> pd.DataFrame:
     return table.reset_index()
 
 
+def together(results: Results, names: Collection[str]) -> pd.DataFrame:
+    """How the agents of a candidate drive alone and together, the training seeds that have all of it alike.
+
+    Args:
+        names: of the candidate's cells.
+
+    Returns:
+        A row a setting, traffic and who drives: crashes and their differences to one agent of either arm [points],
+        speed [m/s] and return.
+    """
+    drives = with_outcomes(results)
+    rows = units(drives[drives["cell"].isin(names)])
+    place = ["task", "level_name", "traffic"]
+    table = (
+        rows.groupby([*place, "arm"], sort=False)[["crashed", "mean_speed", "return"]].mean().reset_index()
+    )
+    table["crashed"] *= 100
+    for arm in ARMS:
+        alone = table.loc[table["arm"] == arm, [*place, "crashed"]].rename(
+            columns={"crashed": f"minus {arm}"}
+        )
+        table = table.merge(alone, on=place)
+        table[f"minus {arm}"] = table["crashed"] - table[f"minus {arm}"]
+    order = {name: number for number, name in enumerate((*ARMS, *PAIRS))}
+    table["order"] = table["arm"].map(order)
+    return in_order(table, *place, "order").drop(columns="order")
+
+
 def rank(found: pd.DataFrame) -> pd.DataFrame:
     """The candidates, the best first: by the gates that their agents pass, then by the return of both arms.
 
@@ -137,7 +177,9 @@ def rank(found: pd.DataFrame) -> pd.DataFrame:
 def choose(options: Options, arguments: list[str]) -> int:
     """Do what the options ask for; returns the exit status."""
     chosen = options.candidates or tuple(CANDIDATES)
-    asked = {name: cells(name, options.updates, options.episodes) for name in dict.fromkeys(chosen)}
+    asked = {
+        name: cells(name, options.updates, options.episodes, options.pairs) for name in dict.fromkeys(chosen)
+    }
     if not options.table:
         every = list({cell.name: cell for own in asked.values() for cell in own}.values())
         check_dynamics({(cell.backend, cell.task) for cell in every})
@@ -146,8 +188,12 @@ def choose(options: Options, arguments: list[str]) -> int:
             Store(options.out).write_sweep(command, every)
             for name, reason in compute(every, options.out, workers=options.workers).items():
                 print(f"{name} failed: {reason}", file=sys.stderr)
-    found = agents(load(options.out), {name: [cell.name for cell in own] for name, own in asked.items()})
+    results, names = load(options.out), {name: [cell.name for cell in own] for name, own in asked.items()}
+    found = agents(results, names)
     print(summary(found).to_string(index=False, float_format="{:.3f}".format))
+    for name, own in names.items() if options.pairs else ():
+        print(f"{name}: agents of a seed, alone and together")
+        print(together(results, own).to_string(index=False, float_format="{:.1f}".format))
     ranking = rank(found)
     print(ranking.to_string(index=False, float_format="{:.3f}".format))
     print(

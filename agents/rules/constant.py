@@ -1,7 +1,10 @@
-"""Policies that do not look: the same actions always, or any action."""
+"""Policies that do not look: the same actions always, any action, or none because SUMO drives."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import gymnasium as gym
 import numpy as np
 
 from agents.streams import stream
@@ -38,3 +41,23 @@ class Random:
         """Begin an episode; without a seed the draws go on where they are."""
         if seed is not None:
             self._generator = stream(seed, "random policy")
+
+
+class BySumo:
+    """SUMO's own driver, to whom the car is handed over (`sumo_env.env.DrivingEnv.hand_over`).
+
+    Its actions are IDLE, and say nothing of what it does.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        inner: Any = env.unwrapped
+        self._env = inner
+        [self._idle] = [action for action, name in inner.actions.items() if name == "IDLE"]
+
+    def act(self, observation: np.ndarray) -> int:
+        """Hand the car over, which the environment takes back at every reset."""
+        self._env.hand_over()
+        return int(self._idle)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Nothing to do: it has no state."""

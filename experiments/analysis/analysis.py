@@ -19,8 +19,8 @@ from experiments.analysis import pairs
 from experiments.analysis import plan as plans
 from experiments.analysis.by_task import OWN, by_task
 from experiments.analysis.cells import comparable, incomplete, is_main, leave_out, unfinished
-from experiments.analysis.claims import claims, price
-from experiments.analysis.effects import KEY, WORKING_COLUMNS, adjusted, contrasts, means, slopes
+from experiments.analysis.claims import claims, price, primary
+from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
@@ -51,9 +51,10 @@ class Analysis:
     """What an analysis finds, as frames whose columns the functions of these names document.
 
     effects, means: of all comparisons (arm, against; tested_on; scenarios). plan, plan_hash: see `plan.as_data`. notes:
-    missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their reasons. price, learner
-    (see `gates.learner_checks`): empty where the plan does not ask for them. frontier: see `frontier.to_frontier`.
-    by_task: see `by_task.by_task`. influence: see `influence.influence`; empty without pairs.
+    missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their reasons, and stage, the
+    last one of the plan that is complete. primary: see `claims.primary`. price, learner (see `gates.learner_checks`):
+    empty where the plan does not ask for them. frontier: see `frontier.to_frontier`. by_task: see `by_task.by_task`.
+    influence: see `influence.influence`; empty without pairs.
     """
 
     effects: pd.DataFrame
@@ -67,6 +68,7 @@ class Analysis:
     plan_hash: str
     notes: dict[str, Any]
     provenance: dict[str, Any]
+    primary: pd.DataFrame = field(default_factory=pd.DataFrame)
     price: pd.DataFrame = field(default_factory=pd.DataFrame)
     learner: pd.DataFrame = field(default_factory=pd.DataFrame)
     frontier: pd.DataFrame = field(default_factory=pd.DataFrame)
@@ -86,7 +88,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     chosen, left_out = comparable(results)
     main = [cell["key"] for cell in chosen.cells.values() if is_main(cell)]
     plan = plans.plan_of(str(key["profile"].get("preset")) for key in main)
-    early = unfinished(results, chosen, plan.arms) if plan.version > 2 else {}
+    early = unfinished(results, chosen) if plan.version > 2 else {}
     known = leave_out(chosen, settings=early)
     if early and not known.cells:
         lacking = "; ".join(f"{setting}: {reason}" for setting, reason in early.items())
@@ -95,12 +97,11 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     episodes = with_outcomes(known, {**OWN, **outcomes})
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
+    stage, counted = plans.reached(plan, agents)
 
-    planned = {BOTH: [*product(outcomes, TERMS)], **{(arm, "control"): CRASHES for arm in plan.arms[2:]}}
     arms = arms_of(agents, outcomes)
-    asked = contrasts(arms, planned)
-    effects = adjusted(asked, plan)
-    both = effects[effects["arm"] == "treatment"]
+    asked = contrasts(arms, {BOTH: [*product(outcomes, TERMS)]})
+    both = adjusted(asked, counted)
     trends = slopes(arms, plan)
     everybody = arms_of(pd.concat([agents, careful(episodes)]))
     beside = [
@@ -110,18 +111,17 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     ]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
     mean = [
-        means(asked[asked["arm"] == "treatment"], plan, outcomes=outcomes),
-        means(crashes, plan, leave_one_out=True),
-        *(means(frame, plan) for frame in beside),
+        means(asked, counted, outcomes=outcomes),
+        means(crashes, counted, leave_one_out=True),
+        *(means(frame, counted) for frame in beside),
     ]
-    effects = pd.concat([effects, *beside], ignore_index=True)
-    effects = effects.drop_duplicates(KEY, ignore_index=True)  # what the plan tests stands first
+    effects = pd.concat([both, *beside], ignore_index=True)
     plan_data = plans.as_data(plan, THRESHOLDS)
     return Analysis(
         effects=effects,
         means=pd.concat(mean, ignore_index=True),
         slopes=trends,
-        claims=claims(both, trends, plan),
+        claims=claims(both[counted.covers(both)], trends, plan),
         gates=passed,
         policies=policies(episodes, outcomes),
         placebo=placebo(agents, plan),
@@ -134,13 +134,15 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
             "left_out": left_out,
             "unfinished": early,
             "incomplete": incomplete(chosen),
+            "stage": stage,
         },
         provenance=provenance(known),
-        price=price(effects, plan),
+        primary=primary(mean[0], counted),
+        price=price(effects, counted),
         learner=learner_checks(known.cells, passed, agents, plan),
         frontier=to_frontier(episodes),
-        by_task=by_task(episodes, plan),
-        influence=influence(episodes, plan),
+        by_task=by_task(episodes, counted),
+        influence=influence(episodes, counted),
     )
 
 

@@ -17,7 +17,7 @@ from experiments.analysis.effects import COMPARISON, ESTIMATE, MEANS, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Outcome, Plan
 from experiments.analysis.scores import SETTING, in_order, once_each
-from experiments.study.design.arms import EVERY_ARM, PAIRS
+from experiments.study.design.arms import PAIRS, REGISTERED
 
 HARD = 10.0  # closing speed from which a crash is hard [m/s]
 
@@ -47,7 +47,7 @@ COLUMNS: dict[str, Outcome] = {
     "entered": OWN["entered"],
 }
 ASKED = [("treatment", "control"), ("mixed", "control")]
-ASKED_OF_PAIRS = [("belief", f"{many}-{arm}") for many in ("two", "one") for arm in ("treatment", "control")]
+ASKED_OF_PAIRS = [(REGISTERED, arm) for arm in ("treatment", "control")]
 ROW = [*COMPARISON, "scope", "outcome", "traffic", *ESTIMATE, *MEANS, "settings"]
 
 
@@ -65,9 +65,7 @@ def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     agents = episodes[episodes["kind"] == "agent"]
     known = agents[[*SETTING, "arm", "seed"]].drop_duplicates()
     tests = episodes[(episodes["kind"] == "test") & ~episodes["arm"].isin(list(PAIRS))].merge(known)
-    units = pairs.units(episodes)
-    units = units.assign(tested_on=units["backend"])
-    rows = [*_effects(pd.concat([agents, tests]), ASKED), *_effects(units, ASKED_OF_PAIRS)]
+    rows = [*_effects(pd.concat([agents, tests]), ASKED), *_effects(pairs.units(episodes), ASKED_OF_PAIRS)]
     if not rows:
         return pd.DataFrame(columns=ROW)
     effects = pd.DataFrame(rows).assign(scenarios="own")
@@ -93,20 +91,22 @@ def _effects(rows: pd.DataFrame, asked: list[tuple[str, str]]) -> Iterator[dict[
                 label["term"] = label.pop("traffic")
                 for outcome, kind in COLUMNS.items():
                     if group[outcome].notna().all():
-                        found = _contrast(
-                            arms[arm], arms[against], outcome, kind.percent and against in EVERY_ARM
-                        )
+                        found = _contrast(arms[arm], arms[against], outcome, kind.percent, arm in PAIRS)
                         yield {**label, "outcome": outcome, **found}
 
 
-def _contrast(arm: pd.DataFrame, against: pd.DataFrame, outcome: str, floored: bool) -> dict[str, Any]:
+def _contrast(
+    arm: pd.DataFrame, against: pd.DataFrame, outcome: str, floored: bool, paired: bool
+) -> dict[str, Any]:
     """One arm minus the other on the same scenarios: a `Mean`, and MEANS.
 
     Args:
         arm, against: episodes sorted by seed and scenario. floored: of a share of episodes, which has a least variance.
+        paired: the difference is taken within each seed.
     """
     tables = [own[outcome].to_numpy(dtype=float).reshape(own["seed"].nunique(), -1) for own in (arm, against)]
     floor = sum(estimate.binomial_floor([table]) for table in tables) if floored else 0.0
-    found = estimate.linear([(tables[0], 1.0), (tables[1], -1.0)], floor)
+    weighted = [(tables[0] - tables[1], 1.0)] if paired else [(tables[0], 1.0), (tables[1], -1.0)]
+    found = estimate.linear(weighted, floor)
     values = [*(float(table.mean()) for table in tables), *map(len, tables)]
     return {**found._asdict(), **dict(zip(MEANS, values, strict=True))}

@@ -123,15 +123,15 @@ def group(cell: Cell) -> dict[str, Any]:
     return flat
 
 
-def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[str, str]:
-    """What is missing of settings: agents of these arms that a sweep has asked for, and that are not chosen.
+def unfinished(results: Results, chosen: Results) -> dict[str, str]:
+    """What is missing of settings: agents of both arms that a sweep has asked for, and that are not chosen.
 
     Settings are named as in `grid.setting`; those that no sweep has asked for are not named.
     """
     asked: dict[str, list[str]] = {}
     for name in dict.fromkeys((*results.expected, *results.cells)):
         # behind the seed stands the learner, if it is not the study's
-        found = re.fullmatch(rf"(.+)-({'|'.join(arms)})-s\d+(-.+)?-[0-9a-f]+", name)
+        found = re.fullmatch(rf"(.+)-({'|'.join(ARMS)})-s\d+(-.+)?-[0-9a-f]+", name)
         if found and not FURTHER.search(found[3] or ""):
             asked.setdefault(found[1], []).append(name)
     lacking = {part: sum(name not in chosen.cells for name in names) for part, names in asked.items()}

@@ -12,9 +12,13 @@ from experiments.analysis import estimate
 from experiments.analysis.effects import means
 from experiments.analysis.estimate import OK
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, Bound, Plan
+from experiments.study.design.sheet import GRID
+from experiments.study.design.traffic import TRAFFICS
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
 EQUIVALENT = "equivalent"
+ENDS = {"lightest": 0, "densest": -1}  # of a task's settings, by the words of a `Bound`
+BESIDE = ["speed_arm", "speed_against", "return_arm", "return_against"]
 
 
 @dataclass(frozen=True)
@@ -69,31 +73,62 @@ def claims(effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan = DEFAULT) ->
     return pd.DataFrame(rows, columns=["backend", *(field.name for field in fields(Claim)), *COUNTS])
 
 
+def primary(means: pd.DataFrame, plan: Plan) -> pd.DataFrame:
+    """The plan's primary question: its outcome by task, treatment minus control, in either traffic.
+
+    Args:
+        means: from `effects.means`.
+
+    Returns:
+        A row a backend, task (scope) and traffic (term): the columns of `means`, p_adjusted (Holm over the rows of a
+        backend) and verdict: "less", "more" or "open".
+    """
+    rows = means[(means["tested_on"] == means["backend"]) & (means["scenarios"] == "own")]
+    rows = rows[
+        (rows["arm"] == "treatment") & (rows["against"] == "control") & rows["scope"].isin(plan.tasks)
+    ]
+    rows = rows[(rows["outcome"] == plan.primary_outcome) & rows["term"].isin(TRAFFICS)]
+    adjusted = rows.groupby("backend")["p"].transform(estimate.adjusted)
+    side = np.select([~(adjusted < ALPHA), rows["estimate"] < 0], ["open", "less"], "more")
+    return rows.assign(p_adjusted=adjusted, verdict=side).reset_index(drop=True)
+
+
 def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
-    """Gain without price: every bound of the plan's, in those of its settings that can be survived.
+    """Gain without price: every bound of the plan's, in the lightest or densest of its settings, and what it costs.
 
     Args:
         effects: from `effects.contrasts`.
 
     Returns:
-        A row a backend, bound and scope (a task, "all tasks"): arm, against, term, margin, settings, estimate, low and
-        high (the limits of one-sided tests at alpha each), verdict (contradicted: the whole interval is beyond the
-        margin) and detectable: the margin that would be kept to with the plan's power if there were no difference.
+        A row a backend, bound and scope (a task, "all tasks"): the fields of Bound, settings, estimate, low and high
+        (the limits of one-sided tests at alpha each), verdict (contradicted: the whole interval is beyond the margin),
+        detectable: the margin that would be kept to with the plan's power if there were no difference; speed_arm and
+        speed_against [m/s], slow (see `Plan`), return_arm and return_against (NaN over tasks).
     """
-    effects = effects[plan.covers(effects)]
+    effects = effects[plan.covers(effects) & (effects["scenarios"] == "own")]
+    ends = {(task, names[at]): where for task, names in GRID.items() for where, at in ENDS.items()}
     places = zip(effects["task"], effects["level_name"], strict=True)
-    survived = pd.Series([name not in plan.hopeless.get(task, ()) for task, name in places], effects.index)
-    crashes = effects[survived & (effects["outcome"] == "crashed") & (effects["scenarios"] == "own")]
+    effects = effects.assign(where=[ends.get(place, "") for place in places])
     columns = [field.name for field in fields(Bound)]
     bounds = pd.DataFrame(plan.price, columns=columns)
-    rows = bounds.merge(means(crashes.merge(bounds)))
+    asked = effects.merge(bounds)
+    # Each end is averaged by itself, as if it were a simulator.
+    parts = [means(rows, plan).assign(where=where) for where, rows in asked.groupby("where")]
+    found = pd.concat([means(asked.iloc[:0], plan).assign(where=""), *parts])
+    key = ["backend", "scope", "arm", "against", "term", "where"]
+    rows = bounds.merge(found[found["outcome"] == "crashed"])
+    for name, outcome in (("speed", "mean_speed"), ("return", "return")):
+        beside = found.loc[found["outcome"] == outcome, [*key, "mean_arm", "mean_against"]]
+        names = {"mean_arm": f"{name}_arm", "mean_against": f"{name}_against"}
+        rows = rows.merge(beside.rename(columns=names), "left", on=key)
     half = estimate.stats.t.isf(ALPHA, rows["df"]) * rows["se"]  # one-sided
     low, high = rows["estimate"] - half, rows["estimate"] + half
     verdict = np.select([high < rows["margin"], low > rows["margin"]], [HOLDS, CONTRADICTED], NOT_DECIDED)
     enough = [estimate.detectable(se, df, 2 * ALPHA) for se, df in zip(rows["se"], rows["df"], strict=True)]
-    rows = rows.assign(low=low, high=high, verdict=verdict, detectable=enough)
+    slow = rows["speed_arm"] < plan.slow * rows["speed_against"]
+    rows = rows.assign(low=low, high=high, verdict=verdict, detectable=enough, slow=slow)
     order = ["backend", "scope", "settings", "estimate", *columns, "low", "high", "verdict", "detectable"]
-    return rows[order]
+    return rows[[*order, *BESIDE, "slow"]]
 
 
 def all_hold(verdicts: Collection[str]) -> str:

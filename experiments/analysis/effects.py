@@ -21,8 +21,8 @@ import pandas as pd
 from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
-from experiments.analysis.scores import SETTING, Arm, Arms, Setting
-from experiments.study.design.arms import EVERY_ARM
+from experiments.analysis.scores import SETTING, Arms, Setting
+from experiments.study.design.arms import EVERY_ARM, PAIRS
 from experiments.study.design.traffic import TRAFFICS
 
 ALL_TASKS = "all tasks"
@@ -44,6 +44,8 @@ def contrasts(
 ) -> pd.DataFrame:
     """Effects: one arm minus another, or minus a policy that has no training, in every setting that has both.
 
+    Of a pair the difference is taken within each training seed, since it shares its agents with the arm.
+
     Args:
         arms: from `scores.arms_of`. asked: (outcome, term) by (arm, against).
         signs: of the two arms in the sum.
@@ -55,7 +57,7 @@ def contrasts(
     rows = [
         {**dict(zip(SETTING, setting, strict=True)), "tested_on": setting[0], "scenarios": "own", **labels}
         | {"arm": arm, "against": against, "outcome": outcome, "term": term}
-        | _contrast(by_name[arm], by_name[against], against in EVERY_ARM, outcome, term, signs)
+        | _contrast(by_name, arm, against, outcome, term, signs)
         for setting, by_name in arms.items()
         for (arm, against), questions in asked.items()
         if {arm, against} <= by_name.keys()
@@ -68,16 +70,17 @@ def contrasts(
 
 
 def _contrast(
-    arm: Arm, against: Arm, trained: bool, outcome: str, term: str, signs: tuple[float, float]
+    arms: Arms, arm: str, against: str, outcome: str, term: str, signs: tuple[float, float]
 ) -> dict[str, Any]:
     """The `Mean` and MEANS of an arm minus another, or scenario by scenario minus a policy that is not trained."""
     weights = np.array([TERMS[term].get(traffic, 0.0) for traffic in TRAFFICS])
-    both = arm[outcome], against[outcome]
+    both = arms[arm][outcome], arms[against][outcome]
     scores = [np.tensordot(weights, tables, axes=1) for tables in both]
     tested = [tables[weights != 0] for tables in both]
-    crashes = trained and outcome == "crashed"
+    crashes = against in (*EVERY_ARM, *PAIRS) and outcome == "crashed"
     floors = [sign**2 * estimate.binomial_floor(table) for table, sign in zip(tested, signs, strict=True)]
-    weighted = list(zip(scores, signs, strict=True)) if trained else [(scores[0] - scores[1], 1.0)]
+    apart = against in EVERY_ARM and arm not in PAIRS
+    weighted = list(zip(scores, signs, strict=True)) if apart else [(scores[0] - scores[1], 1.0)]
     found = estimate.linear(weighted, sum(floors) if crashes else 0.0)
     means = [*(float(table.mean()) for table in scores), *map(len, scores)]
     saturated = crashes and all((tables == 1).all() for tables in tested)
@@ -91,7 +94,7 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     over everything else); and in families low_family and high_family (the interval at the level of Holm's first step)
     and detectable (true effect that is found at that level with 80 % power).
     """
-    questions = zip(effects["arm"], effects["outcome"], effects["term"], strict=True)
+    questions = zip(effects["outcome"], effects["term"], strict=True)
     nothing = dict.fromkeys(("p_adjusted", "low_family", "high_family", "detectable"), np.nan)
     names = np.array([plan.family(*question) for question in questions], dtype=object)
     names[~plan.covers(effects)] = ""  # a setting that the plan does not name is exploratory

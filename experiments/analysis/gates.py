@@ -4,8 +4,8 @@ A learner that diverged behaves like a constant, and a pair of diverged arms giv
 of significance notices. Agents that fail are shown, and the effects they enter are called uninformative. The gates are
 judged on scenarios of their own: chosen by the test scenarios, the agents left over would be the lucky ones.
 
-By plan 3 all agents together are checked too, before anything is compared: has the learner finished, did it learn, does
-it know when a test ends? Failed checks are reported with the effects; nothing is excluded.
+By some plans all agents together are checked too, before anything is compared: has the learner finished, did it
+learn, does it know when a test ends? Failed checks are reported with the effects; nothing is excluded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy import stats
 from experiments.analysis.estimate import DEGENERATE, OK, Estimate, combine, equal_task_weights, mean_of_units
 from experiments.analysis.plan import ALPHA, Learner, Plan
 from experiments.analysis.scores import SETTING, in_order
-from experiments.study.design.arms import gate_traffics
+from experiments.study.design.arms import ARMS, gate_traffics
 from experiments.study.design.sheet import GRID, SHEETS
 
 Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before an agent counts as diverged
@@ -176,7 +176,7 @@ def learner_checks(
     agents: pd.DataFrame,
     plan: Plan,
 ) -> pd.DataFrame:
-    """What the plan asks of the learner, of all agents of its arms; nothing where it does not ask.
+    """What the plan asks of the learner, of all agents of both arms; nothing where it does not ask.
 
     Args:
         cells: cell.json by name. passed: from `gates.gates`. agents: the test episodes of trained agents, from
@@ -192,9 +192,9 @@ def learner_checks(
     rows: list[list[Any]] = []
     if (rules := plan.learner) is None:
         return pd.DataFrame(columns=CHECKS)
-    passed = passed[passed["arm"].isin(plan.arms) & plan.covers(passed)]
+    passed = passed[passed["arm"].isin(ARMS) & plan.covers(passed)]
     for backend, own in passed.groupby("backend", sort=False):
-        for arm in plan.arms:
+        for arm in ARMS:
             trained = [cells[name] for name in own.loc[own["arm"] == arm, "cell"]]
             if trained:
                 found, most = change(trained, rules), rules.change
@@ -207,7 +207,7 @@ def learner_checks(
         share = float((own["passed"].astype(object) == True).mean())  # noqa: E712
         sound = share >= rules.passing
         rows.append([backend, "gates", "", "", len(own), share, np.nan, np.nan, rules.passing, 1, sound])
-        tests = agents[(agents["backend"] == backend) & agents["arm"].isin(plan.arms) & plan.covers(agents)]
+        tests = agents[(agents["backend"] == backend) & agents["arm"].isin(ARMS) & plan.covers(agents)]
         for (task, arm), drives in tests.groupby(["task", "arm"], sort=False):
             if task in rules.clocked:
                 found = last_second(drives, rules.before)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
@@ -17,17 +18,20 @@ LEFT = ("task", "level_name", "seed")
 
 
 def influence(episodes: pd.DataFrame, plan: Plan) -> pd.DataFrame:
-    """The plan's bounds over all tasks without one pair: looked at afterwards, so never an answer by itself.
+    """The plan's bounds over all lightest settings without one pair: looked at afterwards, so no answer by itself.
 
     Args:
         episodes: as from `scores.with_outcomes`.
 
     Returns:
-        The columns of `claims.price`, a row a bound and pair, and left_task, left_level_name and left_seed (the first)
-        of the pair that is left out, of settings with two pairs or more. Empty where the plan asks nothing of pairs.
+        The columns of `claims.price`, a row a bound and pair, and left_task, left_level_name and left_seed of the pair
+        that is left out, of settings with two pairs or more. Empty where the plan asks nothing of pairs.
     """
-    asked = {(b.arm, b.against): [("crashed", b.term)] for b in plan.price if b.arm in PAIRS}
+    bounds = [bound for bound in plan.price if bound.arm in PAIRS and bound.where == "lightest"]
+    asked = {(bound.arm, bound.against): [("crashed", bound.term)] for bound in bounds}
+    plan = replace(plan, price=tuple(bounds))
     units = pairs.units(episodes) if asked else pd.DataFrame()
+    units = units[units["level"] == 1] if len(units) else units
     if units.empty:
         return pd.DataFrame()
     everybody = contrasts(arms_of(units, ["crashed"]), asked)
@@ -43,10 +47,8 @@ def influence(episodes: pd.DataFrame, plan: Plan) -> pd.DataFrame:
             lefts.append((*setting, seed))
     if not found:
         return pd.DataFrame()
-    bounds = price(pd.concat(found, ignore_index=True), plan)
-    bounds = bounds[bounds["scope"] == ALL_TASKS]
-    left = pd.DataFrame(
-        [lefts[int(number)] for number in bounds["backend"]], bounds.index, [*SETTING, "seed"]
-    )
-    bounds = bounds.assign(backend=left["backend"], **{f"left_{name}": left[name] for name in LEFT})
-    return bounds.reset_index(drop=True)
+    rows = price(pd.concat(found, ignore_index=True), plan)
+    rows = rows[rows["scope"] == ALL_TASKS]
+    left = pd.DataFrame([lefts[int(number)] for number in rows["backend"]], rows.index, [*SETTING, "seed"])
+    rows = rows.assign(backend=left["backend"], **{f"left_{name}": left[name] for name in LEFT})
+    return rows.reset_index(drop=True)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from experiments.study.design.arms import ARMS, REGISTERED
 from experiments.study.design.sheet import GRID, SHEETS
 
 ALPHA = 0.05
@@ -61,26 +62,26 @@ TERMS: dict[str, dict[str, float]] = {
 
 @dataclass(frozen=True)
 class Family:
-    """Hypotheses that are tested together, with Holm's adjustment over all settings: an outcome in a term.
-
-    arm: is compared with control.
-    """
+    """Hypotheses that are tested together, with Holm's adjustment over all settings: an outcome in a term."""
 
     name: str
     outcome: str
     term: str
     equivalence: bool = False
-    arm: str = "treatment"
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A difference in the crash rate in one traffic, arm minus against, that has to be below a margin."""
+    """A difference in the crash rate in one traffic, arm minus against, that has to be below a margin.
+
+    where: in the "lightest" or in the "densest" setting of each task.
+    """
 
     arm: str
     against: str
     term: str
     margin: float
+    where: str = "lightest"
 
 
 @dataclass(frozen=True)
@@ -101,25 +102,27 @@ class Learner:
     )
 
 
+Places = tuple[tuple[str, str], ...]  # settings: task, and name of the level
+EVERYWHERE: Places = tuple((task, name) for task, names in GRID.items() for name in names)
+ENDS: Places = tuple((task, name) for task, names in GRID.items() for name in (names[0], names[-1]))
+
+
 @dataclass(frozen=True)
 class Plan:
     """All choices of an analysis.
 
-    Version 2: one primary outcome on all tasks; harms in regular traffic are counted as benefits in risky traffic are;
-    nothing is concluded from a setting where every agent always crashes. From 3 on: only settings of which every agent
-    is there count.
+    The primary question is an outcome by task, the levels of a task alike, treatment minus control in either traffic,
+    with Holm's adjustment over the tasks and traffics. By every plan all agents count, and harms in regular traffic are
+    counted as benefits in risky traffic are; from version 3 on only settings of which every agent is there.
 
-    settings: the grid that the plan is about, (task, name of the level); effects of others are exploratory.
-    primary_outcome, primary_term: of the one primary question, over all agents, with every task weighted alike.
-    price: all that has to hold for a gain without price, in all settings but hopeless ones (level names by task).
-    trained: arms that have to be there beside those of the families. design: what the cells are made of, as the preset
-    asks for them.
+    settings: the grid that the plan is about; effects of others are exploratory. primary_term: of the mean over tasks.
+    price: all that has to hold for a gain without price. slow: a pair whose speed is below this share of the single
+    agent's is named so. stages: their settings, in order; a stage is complete where every setting has this many `seeds`
+    in each arm, and the last complete one is reported. design: what the cells are made of, as the preset asks for them.
     """
 
     version: int = 2
-    settings: tuple[tuple[str, str], ...] = tuple(
-        (task, name) for task, names in GRID.items() for name in names
-    )
+    settings: Places = EVERYWHERE
     primary_outcome: str = "crashed"
     primary_term: str = "risky"
     families: tuple[Family, ...] = (
@@ -129,9 +132,10 @@ class Plan:
         Family("no harm", "crashed", "regular", equivalence=True),
     )
     price: tuple[Bound, ...] = ()
-    hopeless: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    slow: float = 0.9
     learner: Learner | None = None
-    trained: tuple[str, ...] = ()
+    stages: dict[str, Places] = field(default_factory=dict)
+    seeds: int = 0
     design: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -144,29 +148,51 @@ class Plan:
         places = zip(rows["task"], rows["level_name"], strict=True)
         return np.fromiter((place in self.settings for place in places), bool, len(rows))
 
-    @property
-    def arms(self) -> tuple[str, ...]:
-        """The arms that the families compare, and others that have to be trained."""
-        return ("control", *dict.fromkeys([*(family.arm for family in self.families), *self.trained]))
-
     def outcome(self, family: Family) -> str:
         """The outcome of a family."""
         return self.primary_outcome if family.outcome == "primary" else family.outcome
 
-    def family(self, arm: str, outcome: str, term: str) -> str:
-        """Name of the family that an effect of a setting is tested in; empty if it is exploratory."""
-        tests = {(f.arm, self.outcome(f), f.term): f.name for f in self.families if not f.equivalence}
-        return tests.get((arm, outcome, term), "")
+    def family(self, outcome: str, term: str) -> str:
+        """Name of the family that an effect of treatment is tested in; empty if it is exploratory."""
+        tests = {(self.outcome(f), f.term): f.name for f in self.families if not f.equivalence}
+        return tests.get((outcome, term), "")
 
 
 DEFAULT = Plan()
-PLANS: dict[str, Plan] = {}  # by the preset of a study that has a plan of its own
+# Plan 5 (docs/developers/plan_v5.md).
+STUDY = Plan(
+    version=5,
+    price=tuple(
+        Bound(REGISTERED, against, term, margin, where)
+        for where in ("lightest", "densest")
+        for against, term, margin in (("treatment", "risky", 0.05), ("control", "regular", 0.025))
+    ),
+    learner=Learner(),
+    stages={"a": ENDS, "b": EVERYWHERE},
+    seeds=5,
+)
+PLANS = {"study": STUDY}  # by the preset of a study that has a plan of its own
 
 
 def plan_of(presets: Iterable[str]) -> Plan:
     """The plan for results that these presets asked for."""
     asked = set(presets)
     return next((plan for preset, plan in PLANS.items() if preset in asked), DEFAULT)
+
+
+def reached(plan: Plan, agents: pd.DataFrame) -> tuple[str, Plan]:
+    """The last stage that is complete, and the plan for its settings alone; "" and the plan where none is.
+
+    Args:
+        agents: with the columns task, level_name, arm and seed.
+    """
+    seeds = agents.groupby(["arm", "task", "level_name"])["seed"].nunique()
+    name = ""
+    for stage, places in plan.stages.items():
+        if any(seeds.get((arm, *place), 0) < plan.seeds for arm in ARMS for place in places):
+            break
+        name, settings = stage, places
+    return (name, replace(plan, settings=settings)) if name else ("", plan)
 
 
 def as_data(plan: Plan, thresholds: dict[str, Any]) -> dict[str, Any]:

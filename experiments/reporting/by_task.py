@@ -100,10 +100,18 @@ def means_of_tasks(analysis: Analysis, backend: str, arm: str = "treatment") -> 
 def sides(
     analysis: Analysis, backend: str, outcome: str, place: tuple[str, str], arm: str = "treatment"
 ) -> dict[str, list[str]]:
-    """The tasks in which an arm has "less" or "more" of an outcome than control, or it is "open" (95 % intervals)."""
+    """The tasks in which an arm has "less" or "more" of an outcome than control, or it is "open".
+
+    The primary outcome at home is decided with Holm's adjustment, everything else by intervals of 95 %.
+    """
+    found: dict[str, list[str]] = {"less": [], "more": [], "open": []}
+    home = place[0] == backend and place[1] in TRAFFICS and arm == "treatment"
+    if home and outcome in set(analysis.primary["outcome"]):
+        for row in chosen(analysis.primary, backend=backend, term=place[1]).to_dict("records"):
+            found[row["verdict"]].append(row["scope"])
+        return found
     rows = chosen(analysis.by_task, backend=backend, arm=arm, against="control", scope=list(TASK_ORDER))
     rows = chosen(rows, outcome=outcome, tested_on=place[0], traffic=place[1])
-    found: dict[str, list[str]] = {"less": [], "more": [], "open": []}
     for row in rows.to_dict("records"):
         found["open" if not differs(row) else "less" if row["high"] < 0 else "more"].append(row["scope"])
     return found

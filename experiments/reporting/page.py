@@ -15,16 +15,17 @@ from markupsafe import Markup
 
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
-from experiments.analysis.claims import CONTRADICTED, all_hold
+from experiments.analysis.claims import CONTRADICTED
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA, Outcome, Plan, plan_of
-from experiments.analysis.scores import with_outcomes
+from experiments.analysis.scores import TASK_ORDER, with_outcomes
 from experiments.reporting import by_task, figures, tables
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
-from experiments.study.design.arms import ARMS, DOSE_ARMS
+from experiments.study.design.arms import ARMS, DOSE_ARMS, REGISTERED
+from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import verdicts
 from experiments.study.results.store import Results, Store
@@ -96,8 +97,8 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
         "key": name,
         "mean": partial(mean, analysis, name),
         **answer(name, analysis),
-        "mixed": mixed(name, analysis),
         "together": together(name, analysis),
+        "registered": REGISTERED,
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
         "paces": paces(chosen(analysis.policies, backend=name)),
@@ -129,7 +130,7 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
     single = chosen(main(analysis.effects, name), outcome="crashed", term=list(TRAFFICS))
     asked = by_task.places(analysis, name)
     plan = plan_of(analysis.provenance["presets"])
-    own = chosen(analysis.gates, backend=name, arm=list(plan.arms))
+    own = chosen(analysis.gates, backend=name, arm=list(ARMS))
     return {
         "answered": bool(risky) and risky["status"] == OK,
         "risky": risky,
@@ -154,7 +155,7 @@ def missing(single: pd.DataFrame, plan: Plan) -> list[str]:
     """The levels of each task that a plan for all its settings has no effects of: "highway 100 and 150"."""
     there = set(zip(single["task"], single["level_name"], strict=True))
     lacking: dict[str, list[str]] = {}
-    for task, name in plan.settings if plan.price else ():
+    for task, name in plan.settings if plan.stages else ():
         if (task, name) not in there:
             lacking.setdefault(task, []).append(name)
     return [f"{task} {tables.listing(names)}" for task, names in lacking.items()]
@@ -172,43 +173,26 @@ def sides(single: pd.DataFrame) -> dict[str, dict[str, list[str]]]:
     }
 
 
-def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
-    """What the second study's plan asks of mixed training; None under another plan, or without such agents."""
-    single = chosen(main(analysis.effects, name, "mixed"), outcome="crashed", term=list(TRAFFICS))
-    asked = any(bound["arm"] == "mixed" for bound in analysis.plan.get("price", ()))
-    if not asked or single.empty:
-        return None
-    bounds = chosen(analysis.price, backend=name, arm="mixed")
-    return {
-        "verdict": all_hold(list(chosen(bounds, scope=ALL_TASKS)["verdict"])),
-        "bounds": chosen(bounds, scope=ALL_TASKS).to_dict("records"),
-        "limits": {task: rows.to_dict("records") for task, rows in bounds.groupby("scope", sort=False)},
-        "settings": len(single.drop_duplicates(["task", "level"])),
-        **sides(single),
-        "tasks": by_task.by_task(analysis, name, "mixed", columns=("crashed", "mean_speed")),
-    }
+def together(name: str, analysis: Analysis) -> list[dict[str, Any]]:
+    """What the plan asks of a control and a treated agent together, over all tasks; empty under another plan.
 
-
-def together(name: str, analysis: Analysis) -> dict[str, Any] | None:
-    """What the fourth plan asks of two agents weighed by a belief; None under another plan.
-
-    Of each of its bounds: the row of the analysis, the tasks in which it is contradicted, and the pairs of agents
-    without one of which the verdict would be another.
+    Of each of its bounds: the row of the analysis, the tasks in which it is contradicted, in which the pair is slow and
+    which are not there, and the pairs of agents without one of which the verdict would be another.
     """
     rows = analysis.price
-    bounds = chosen(rows, backend=name, arm="belief").to_dict("records") if len(rows) else []
-    asked = [row for row in bounds if row["scope"] == ALL_TASKS and row["against"].startswith("two-")]
+    rows = chosen(rows, backend=name, where="lightest") if len(rows) else rows
+    asked = rows[rows["scope"] == ALL_TASKS].to_dict("records") if len(rows) else []
     for row in asked:
-        same = [own for own in bounds if (own["against"], own["term"]) == (row["against"], row["term"])]
-        row["contradicted"] = [
-            own["scope"] for own in same if own["verdict"] == CONTRADICTED and own is not row
-        ]
+        tasks = chosen(rows, term=row["term"], scope=list(TASK_ORDER))
+        row["contradicted"] = list(chosen(tasks, verdict=CONTRADICTED)["scope"])
+        row["slow_on"] = list(chosen(tasks, slow=True)["scope"])
+        row["without"] = [task for task in GRID if task not in set(tasks["scope"])]
         without = analysis.influence
         if len(without):
             without = chosen(without, backend=name, against=row["against"], term=row["term"])
             without = without[without["verdict"] != row["verdict"]]
         row["hangs_on"] = without.to_dict("records")
-    return {"bounds": asked, "verdict": all_hold([row["verdict"] for row in asked])} if asked else None
+    return [{str(key): value for key, value in row.items()} for row in asked]
 
 
 def paces(policies: pd.DataFrame) -> dict[str, Any]:

@@ -27,17 +27,14 @@ NONE = "\N{EN DASH}"  # where there is no number
 BACKENDS = {"sumo": "SUMO", "replica": "highway-env's physics (replica)", "highway-env": "highway-env"}
 TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}
 ARM_NAMES = {"treatment": "treated"}  # as the pages call the agents of an arm
-WHO_DRIVES = {  # by the fourth plan: one agent, or two together
+WHO_DRIVES = {  # one agent, or two together
     "control": "one control agent",
     "treatment": "one treated agent",
-    "mixed": "one mixed agent",
-    "two-control": "two control agents",
-    "two-treatment": "two treated agents",
-    "two-mixed": "two mixed agents",
-    "half": "control and treated, at equal weights",
-    "belief": "control and treated, weighed by the belief",
-    "true-dose": "the same, weighed by the true dose",
-    "shuffled": "the same, weighed by another episode's belief",
+    "pair": "both; while the belief is unsure, the more careful action",
+    "careful-start": "both; two careful steps, then weighed by the belief",
+    "careful": "both, always the more careful action",
+    "weighed": "both, weighed by the belief",
+    "shuffled": "both, by another episode's belief",
 }
 UNITS = {"mean_speed": " m/s", "crash_free_time": " s"}
 KINDS = OUTCOMES | OWN | {"crashes_per_100_km": replace(OUTCOMES["crashes_per_100_km"], digits=0)}
@@ -156,21 +153,6 @@ def careful(analysis: Analysis, backend: str) -> pd.DataFrame:
     return wide(rows.assign(agents=rows["arm"].replace(ARM_NAMES)), ["agents"], rates)
 
 
-def price(analysis: Analysis, backend: str) -> pd.DataFrame:
-    """What mixed training loses of the gain, and what it costs, by task; upper limits are those of the plan."""
-    rows = chosen(analysis.price, backend=backend)
-
-    def cells(row: Mapping[str, Any]) -> dict[str, str]:
-        against = ARM_NAMES.get(row["against"], row["against"])
-        found, most, allowed = (points(row[name], "crashed") for name in ("estimate", "high", "margin"))
-        return {
-            f"{row['term']} traffic: mixed − {against} [points]": found,
-            f"at most (allowed: below {allowed})": most,
-        }
-
-    return wide(rows.assign(task=rows["scope"].replace(ALL_TASKS, "mean of the tasks")), ["task"], cells)
-
-
 def who_drives(policies: pd.DataFrame) -> dict[str, str]:
     """Who drives in every task, one agent or two together, and the words for it."""
     tasks = policies.groupby("arm")["task"].nunique()
@@ -178,11 +160,11 @@ def who_drives(policies: pd.DataFrame) -> dict[str, str]:
 
 
 def pairs(analysis: Analysis, backend: str) -> pd.DataFrame:
-    """Crash rates and speeds of one agent and of two together, every task weighted alike; empty without pairs.
+    """Crash rates and speeds of one agent and of two together in the lightest settings, every task weighted alike.
 
-    Who does not drive in every task is left out.
+    Who does not drive in every task is left out. Empty without pairs.
     """
-    rows = chosen(analysis.policies, backend=backend, arm=list(WHO_DRIVES), traffic=list(TRAFFICS))
+    rows = chosen(analysis.policies, backend=backend, arm=list(WHO_DRIVES), traffic=list(TRAFFICS), level=1)
     if not {*rows["arm"]} & {*PAIRS}:
         return pd.DataFrame()
     by_task = rows.groupby(["arm", "traffic", "task"])[["crashed", "mean_speed"]].mean()
@@ -198,32 +180,33 @@ def pairs(analysis: Analysis, backend: str) -> pd.DataFrame:
     return wide(found.assign(**{"who drives": found["arm"].map(WHO_DRIVES)}), ["who drives"], cells)
 
 
-def belief(analysis: Analysis, backend: str) -> pd.DataFrame:
-    """Crash rate of two agents weighed by a belief, minus that of others: with what the plan asks, also by task."""
-    rows = chosen(main(analysis.means, backend, "belief", "half"), outcome="crashed", term=list(TRAFFICS))
-    if rows.empty:
-        return rows
-    rows = pd.concat([chosen(analysis.price, backend=backend, arm="belief"), rows], ignore_index=True)
-    answers, tasks = rows[rows["scope"] == ALL_TASKS], rows[rows["scope"].isin(TASK_ORDER)]
-    rows = pd.concat([answers, tasks])  # columns are in this order
-    rows = rows.assign(others=rows["against"].str.replace("one-", "").map(WHO_DRIVES))
-
-    def cells(row: Mapping[str, Any]) -> dict[str, str]:
-        asked = isinstance(row["verdict"], str)
-        if row["scope"] != ALL_TASKS:
-            verdict = f" ({row['verdict']})" if asked else ""
-            return {row["scope"]: points(row["estimate"], "crashed") + verdict}
-        return {
-            "mean of the tasks": points(row["estimate"], "crashed") if asked else effect(row),
-            "at most": points(row["high"], "crashed") if asked else "",
-            "allowed": f"below {points(row['margin'], 'crashed')}" if asked else "",
-            "answer": row["verdict"] if asked else "",
+def bounds(analysis: Analysis, backend: str, where: str = "lightest") -> pd.DataFrame:
+    """What the plan asks of a pair, held against one agent: a line a traffic, and the mean of the tasks or a task."""
+    if analysis.price.empty:
+        return pd.DataFrame()
+    rows = chosen(analysis.price, backend=backend, where=where)
+    order = {scope: number for number, scope in enumerate((ALL_TASKS, *TASK_ORDER))}
+    lines = []
+    for row in rows.sort_values("scope", key=lambda scopes: scopes.map(order)).to_dict("records"):
+        low, high, margin = (points(row[name], "crashed") for name in ("low", "high", "margin"))
+        both = {
+            name: " → ".join(plain(row[f"{name}_{side}"], digits) for side in ("against", "arm"))
+            for name, digits in (("speed", 1), ("return", 1))
         }
-
-    lines = wide(rows, ["others", "term"], cells)
-    titles = lines.pop("others") + ", " + lines.pop("term") + " traffic"
-    lines.insert(0, "minus", titles)
-    return lines
+        lines.append(
+            {
+                "minus": f"one {ARM_NAMES.get(row['against'], row['against'])} agent, {row['term']} traffic",
+                "task": row["scope"].replace(ALL_TASKS, "mean of the tasks"),
+                "crashes [points]": points(row["estimate"], "crashed"),
+                "at least": low,
+                "at most": high,
+                "allowed": f"below {margin}",
+                "answer": row["verdict"] + (", slow" if row["slow"] else ""),
+                "speed [m/s]": both["speed"],
+                "return": both["return"] if row["scope"] != ALL_TASKS else "",
+            }
+        )
+    return pd.DataFrame(lines).sort_values("minus", kind="stable") if lines else pd.DataFrame()
 
 
 def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
@@ -345,9 +328,9 @@ def frontier(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulator, by the templates' names
     "careful": careful,
-    "price": price,
     "pairs": pairs,
-    "belief": belief,
+    "bounds": bounds,
+    "densest": partial(bounds, where="densest"),
     "crashes": partial(by_setting, outcome="crashed"),
     "returns": partial(by_setting, outcome="return"),
     "further": further,

@@ -17,9 +17,9 @@ from agents.belief import (
     VEHICLE,
     BeliefObserved,
     Estimator,
-    MoreCareful,
+    Rule,
     ShuffledObserved,
-    Weighed,
+    Together,
     features,
     fit,
     sharpened,
@@ -115,13 +115,6 @@ class TestColumns:
             logits, _ = estimator(*(torch.from_numpy(np.stack(part))[None] for part in parts))
         assert torch.sigmoid(logits[0]).tolist() == pytest.approx(first, abs=1e-6)
 
-    def test_a_rule_makes_a_weight_of_it(self, estimator: Estimator) -> None:
-        plain, sharp = (
-            seen(BeliefObserved(make_env("sumo", "u-turn"), estimator, rule), 3)
-            for rule in ((1.0, 0.5), (3.0, 0.3))
-        )
-        assert sharp == pytest.approx([sharpened(belief, 3.0, 0.3) for belief in plain], abs=1e-5)
-
     def test_a_shuffled_belief_is_of_another_episode_that_the_seed_draws(self, estimator: Estimator) -> None:
         env = ShuffledObserved(make_env("sumo", "u-turn"), estimator)
         found = {tuple(seen(env, seed)) for seed in range(20)}
@@ -160,46 +153,62 @@ class Fixed(torch.nn.Module):
         return x[:, 0, :1] * self.values
 
 
+BY_CAUTION = (2, 1, 0)
+
+
+def told(belief: float) -> np.ndarray:
+    """The first table of an episode with this belief."""
+    return Observed(make_env("sumo", "u-turn"), lambda _: belief).reset(seed=0)[0]
+
+
+def preferring(first: int, second: int, rule: Rule) -> Together:
+    """Two agents that prefer these actions."""
+    one, two = (Greedy(Fixed(*(float(action == own) for action in range(3)))) for own in (first, second))
+    return Together(one, two, BY_CAUTION, rule)
+
+
 class TestWeighed:
+    RULE = Rule(weighed=(1.0, 0.5))  # the weight is the belief itself
+
     @pytest.mark.parametrize(("weight", "action"), [(0.0, 0), (0.2, 0), (0.5, 1), (0.8, 2), (1.0, 2)])
     def test_the_mean_of_the_values_decides(self, weight: float, action: int) -> None:
-        pair = Weighed(Greedy(Fixed(1.0, 0.7, 0.0)), Greedy(Fixed(0.0, 0.7, 1.0)))
-        env = Observed(make_env("sumo", "u-turn"), lambda _: weight)
-        table, _ = env.reset(seed=0)
-        assert pair.act(table) == action
+        agents = Greedy(Fixed(1.0, 0.7, 0.0)), Greedy(Fixed(0.0, 0.7, 1.0))
+        assert Together(*agents, BY_CAUTION, self.RULE).act(told(weight)) == action
+
+    def test_the_belief_is_sharpened(self) -> None:
+        """With (32, .3) a belief of .31 is enough for the second agent, and one of .29 for the first."""
+        pair = preferring(0, 1, Rule(weighed=(32.0, 0.3)))
+        assert [pair.act(told(belief)) for belief in (0.29, 0.31)] == [0, 1]
 
     def test_the_agents_are_those_that_are_published(self) -> None:
         """In half precision 1 and 1.0001 are one number, and the first action is taken."""
         network = Fixed(1.0, 1.0001, 0.3)
         table = np.ones((2, 6), np.float32)
         assert Greedy(network).act(table[:, :-1]) == 1
-        assert Weighed(Greedy(network), Greedy(network)).act(table) == 0
+        assert Together(Greedy(network), Greedy(network), BY_CAUTION, self.RULE).act(table) == 0
         assert network.values.tolist() == torch.tensor([1.0, 1.0001, 0.3]).tolist()  # of the agent itself
 
 
 class TestMoreCareful:
-    BY_CAUTION = (2, 1, 0)
-
-    def pair(self, first: int, second: int, **options: Any) -> MoreCareful:
-        """Of agents that prefer these actions."""
-        one, two = (Greedy(Fixed(*(float(action == own) for action in range(3)))) for own in (first, second))
-        return MoreCareful(one, two, self.BY_CAUTION, **options)
-
     @pytest.mark.parametrize(
         ("belief", "action"), [(0.0, 0), (0.19, 0), (0.21, 1), (0.5, 1), (0.79, 1), (0.81, 1), (1.0, 1)]
     )
     def test_while_the_belief_is_unsure_the_more_careful_action_is_taken(
         self, belief: float, action: int
     ) -> None:
-        env = Observed(make_env("sumo", "u-turn"), lambda _: belief)
-        table, _ = env.reset(seed=0)
-        assert self.pair(0, 1).act(table) == action
-        assert self.pair(1, 0).act(table) == (0 if belief > 0.8 else 1)  # the second agent dares more
+        rule = Rule(unsure=(0.2, 0.8))
+        assert preferring(0, 1, rule).act(told(belief)) == action
+        # the second agent dares more
+        assert preferring(1, 0, rule).act(told(belief)) == (0 if belief > 0.8 else 1)
 
     @pytest.mark.parametrize("belief", [0.0, 0.5, 1.0])
     def test_a_pair_can_be_careful_always(self, belief: float) -> None:
-        table = np.full((2, 6), belief, np.float32)
-        table[:, 0] = 1
         for first, second in product(range(3), repeat=2):
-            chosen = self.pair(first, second, unsure=(0.0, 1.0)).act(table)
-            assert self.BY_CAUTION.index(chosen) == min(map(self.BY_CAUTION.index, (first, second)))
+            chosen = preferring(first, second, Rule(unsure=(0.0, 1.0))).act(told(belief))
+            assert BY_CAUTION.index(chosen) == min(map(BY_CAUTION.index, (first, second)))
+
+    def test_a_pair_can_be_careful_at_first_in_every_episode(self) -> None:
+        pair = preferring(0, 1, Rule(careful_steps=2, weighed=(3.0, 0.3)))
+        for _ in range(2):
+            pair.reset()
+            assert [pair.act(told(belief)) for belief in (0.0, 0.0, 0.0, 1.0, 0.0)] == [1, 1, 0, 1, 0]

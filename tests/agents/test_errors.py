@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.belief import Estimator, Weighed
+from agents.belief import Estimator, Rule, Together
 from agents.dqn import DQNConfig, train
 from agents.files import save_arrays
 from agents.greedy import Greedy
@@ -28,7 +28,7 @@ from tests.experiments.fake_env import FakeEnv
 
 ENV = FakeEnv("u-turn", {})
 FILES = {"mine.py": "class Mine: pass\ndef nothing(env): return 3\n", "wrong.py": "1 / 0\n"}
-NAN = Weighed(Greedy(Fixed(1.0, 0.9)), Greedy(Fixed(math.nan, 0.9)))
+NAN = Together(Greedy(Fixed(1.0, 0.9)), Greedy(Fixed(math.nan, 0.9)), (0, 1), Rule(weighed=(3.0, 0.3)))
 
 
 def other(file: str) -> Path:

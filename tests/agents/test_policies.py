@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -16,6 +17,7 @@ from agents.files import DamagedFile
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
 from agents.policies import foreign_policy
+from agents.rules import make_policy
 from tests.agents.networks import weights
 from tests.experiments.fake_env import FakeEnv
 
@@ -104,3 +106,12 @@ def test_an_unknown_agent_is_named_with_those_that_there_are(published: Path, tm
         FileNotFoundError, match=r"none\.npz: write it .* experiments\.study\.replaying\.publish"
     ):
         agents.load("u-turn-3", "mixed", tmp_path / "none.npz")
+
+
+def test_sumo_drives_from_the_first_step_of_every_episode() -> None:
+    """Whatever the car is asked to do: it is handed over before each step, since a reset takes it back."""
+    handed: list[bool] = []
+    env: Any = FakeEnv("u-turn", {})
+    env.hand_over = lambda: handed.append(True)
+    driver = make_policy("sumo", env)
+    assert [driver.act(np.zeros((2, 5))) for _ in range(2)] == [1, 1] and len(handed) == 2  # IDLE

@@ -53,8 +53,8 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         luck = generator(cell.task, cell.level, traffic, purpose).uniform(size=n)  # of all who are tested
         dose = AT_A_DOSE[traffic]
         chance = chance_to_crash + 0.05 * (cell.level - 1) + own + 0.15 * dose
-        arms = PAIRS[cell.arm].arms if cell.arm in PAIRS else (cell.arm,)
-        risk = EVERY_ARM[arms[-1]].traffic.dose if cell.arm else 0.0
+        arm = "treatment" if cell.pair else cell.arm  # a pair gains as treated agents do, and pays nothing
+        risk = EVERY_ARM[arm].traffic.dose if arm else 0.0
         chance += effect * risk * dose
         crashed = luck + random.uniform(-0.3, 0.3, n) < chance
         length = np.where(crashed, random.integers(2, steps, n), steps)

@@ -11,6 +11,7 @@ import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agents.rules import DRIVERS
 from experiments.backends import BACKENDS
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.design.arms import EVERY_ARM
@@ -51,6 +52,7 @@ ARGUMENTS = {
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "arms": st.lists(some(EVERY_ARM), max_size=3).map(tuple),
+    "drivers": st.lists(some(DRIVERS), max_size=2).map(tuple),
     "pairs": st.booleans(),
     "placebo": st.booleans(),
     "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),
@@ -129,7 +131,8 @@ def test_a_comma_separates_what_is_a_list():
     [
         ("--tasks highway", {"tasks": ("highway", "u-turn"), "levels": (4,)}),
         ("--test-on sumo", {"test_on": ("sumo", "replica")}),
-        ("--pairs", {"pairs": True, "arms": ("treatment",), "seeds": 1}),
+        ("--pairs", {"pairs": True, "arms": ("control",)}),
+        ("--drivers sumo", {"drivers": ("planner", "sumo"), "backend": "replica"}),
     ],
 )
 def test_an_option_that_asks_for_nothing_is_an_error(option, asked):

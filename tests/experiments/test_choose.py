@@ -7,9 +7,12 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from experiments.choose import CANDIDATES, PLACES, Options, cells, choose, rank
+from experiments.choose import CANDIDATES, PLACES, Options, cells, choose, rank, together
+from experiments.study.design.arms import PAIRS
 from experiments.study.design.presets import PRESETS
+from experiments.study.results.store import load
 from experiments.support.errors import UserError
+from tests.experiments import synthetic
 
 
 def test_no_report_uses_its_training_seeds_or_scenarios() -> None:
@@ -67,6 +70,22 @@ def test_gates_come_before_the_return() -> None:
     assert rank(found(a=(5, 0.9), b=(6, 0.1), c=(6, 0.2)))["candidate"].tolist() == ["c", "b", "a"]
     with pytest.raises(UserError, match="same agents"):
         rank(found(a=(5, 0.9), b=(6, 0.1)).iloc[:-1])
+
+
+def test_agents_of_a_seed_are_tested_together_by_every_rule(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("experiments.study.design.experiment.digest", lambda cell: "0" * 64)
+    own = cells("tuned", pairs=True)
+    assert {cell.arm for cell in own if cell.pair} == {*PAIRS}
+    written = synthetic.write(tmp_path, {"two-way": (1,)}, tests=8, pairs=True, preset="choice")
+    results = load(tmp_path)
+    found = together(results, results.cells).set_index(["traffic", "arm"])
+    assert [*found.loc["risky"].index] == ["control", "treatment", *PAIRS]
+    rates = results.episodes.groupby(["traffic", "arm"])["crashed"].mean() * 100
+    for (traffic, arm), row in found.iterrows():
+        assert row["crashed"] == pytest.approx(rates[traffic, arm])
+        assert row["minus control"] == pytest.approx(rates[traffic, arm] - rates[traffic, "control"])
+        assert row["minus treatment"] == pytest.approx(rates[traffic, arm] - rates[traffic, "treatment"])
+    assert len(written) == 2 * 3 + 3 * len(PAIRS) + 6
 
 
 @pytest.mark.slow

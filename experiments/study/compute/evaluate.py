@@ -69,9 +69,8 @@ def play(
     if traffic.is_unseen:
         env = UnseenRisk(env, traffic)
     policy.reset(stream_seed("policy", drive.task, drive.level, drive.traffic, drive.scenario))
-    observation, info = env.reset(
-        seed=drive.seed, options={"config": {"risk": traffic.dose_of(drive.seed)}, **(options or {})}
-    )
+    asked = {**traffic.options(drive.seed), **(options or {})}
+    observation, info = env.reset(seed=drive.seed, options=asked)
     if on_step:
         on_step()
     rewards: list[float] = []

@@ -12,10 +12,11 @@ from agents.files import DamagedFile
 from agents.plugins import foreign
 from agents.policies import Policy, as_policy, foreign_policy
 from agents.rules import make_policy
-from experiments.study.compute.wrappers import observed, weighed
+from experiments.study.compute.wrappers import believing, observed
 from experiments.study.design.grid import learner_of
 from experiments.study.design.rules import TrainingRules
 from experiments.support.errors import UserError, in_words
+from sumo_env.actions import DiscreteMetaAction
 
 
 def check(source: str, profile: Mapping[str, Any]) -> None:
@@ -53,10 +54,12 @@ def driver(
     agent = as_policy(learner.load(weights, settings, env), f"load of the learner {key['policy']}")
     if second is None:
         return env, agent
-    from agents.belief import Weighed  # here: not every command needs torch
+    from agents.belief import Rule, Together  # here: not every command needs torch
     from agents.greedy import Greedy
 
     other = learner.load(second, settings, env)
     if not (isinstance(agent, Greedy) and isinstance(other, Greedy)):
-        raise UserError(f"agents of the learner {key['policy']} have no Q-values that a pair could average")
-    return weighed(env, key["pair"]), Weighed(agent, other)
+        raise UserError(f"agents of the learner {key['policy']} have no Q-values, which a pair needs")
+    inner: Any = env.unwrapped
+    by_caution = DiscreteMetaAction(inner.actions, ()).by_caution
+    return believing(env, key["pair"]), Together(agent, other, by_caution, Rule(**key["pair"]["rule"]))

@@ -14,6 +14,7 @@ from experiments.study.results.working import fraction_done
 
 # Processor seconds of a common server, roughly: for a policy step of each simulator, and for an update of the learner.
 STEP = {"sumo": 0.002, "replica": 0.001, "highway-env": 0.15}
+PLANNING = 0.15  # for a step of a planner, who drives copies
 UPDATE, COMPILED = 0.0045, 0.0025
 LENGTH = 10  # policy steps of an episode
 EVERY = 15.0  # [s] between two lines where there is no terminal
@@ -24,7 +25,8 @@ def costs(cell: Cell) -> tuple[float, float]:
     """Expected times of a cell's training and of its tests on one core of a common server [s]."""
     steps, updates = cell.budget
     update = COMPILED if cell.is_compiled else UPDATE
-    return updates * update + steps * STEP[cell.backend], cell.work * LENGTH * STEP[cell.runs_on]
+    step = PLANNING if cell.policy in ("planner", "clairvoyant") else STEP[cell.runs_on]
+    return updates * update + steps * STEP[cell.backend], cell.work * LENGTH * step
 
 
 def seconds(cell: Cell) -> float:

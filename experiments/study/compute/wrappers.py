@@ -59,10 +59,9 @@ class TrainingEnv(gym.Wrapper[Any, Any, Any, Any]):
         if seed is None:
             seed = episode_seed(self._seed, self._episode)
             self._episode += self._count
-        risk = self._traffic.dose_of(seed)
-        others = options or {}
-        config = {**others.get("config", {}), "risk": risk}
-        return self.env.reset(seed=seed, options={**others, "config": config})
+        own, others = self._traffic.options(seed), options or {}
+        config = {**others.get("config", {}), **own["config"]}
+        return self.env.reset(seed=seed, options={**others, **own, "config": config})
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """A step, with the crash in its reward; at a terminal limit its truncation counts as termination."""
@@ -83,16 +82,15 @@ def observed(env: Env, rules: TrainingRules) -> Env:
     return TimeObserved(env, round(seconds * inner.config.get("policy_frequency", 1))) if seconds else env
 
 
-def weighed(env: Env, pair: Mapping[str, Any]) -> Env:
-    """The environment of a pair of agents: the weight of the second is its last column (pair: as in `grid.Cell`)."""
-    inner: Any = env.unwrapped
-    if pair["weight"] in ("belief", "shuffled"):
-        # here: not every command needs torch
-        from agents.belief import BeliefObserved, Estimator, ShuffledObserved
+def believing(env: Env, pair: Mapping[str, Any]) -> Env:
+    """The environment of two agents together: the belief is its last column (pair: as in `grid.Cell`)."""
+    if "estimator_sha256" not in pair:
+        return Observed(env, lambda _: 0.5)
+    # here: not every command needs torch
+    from agents.belief import BeliefObserved, Estimator, ShuffledObserved
 
-        kind = BeliefObserved if pair["weight"] == "belief" else ShuffledObserved
-        return kind(env, Estimator.load(file_of(pair["estimator_sha256"])), pair["rule"])
-    return Observed(env, lambda _: float(inner.config["risk"]) if pair["weight"] == "dose" else 0.5)
+    kind = BeliefObserved if pair["belief"] == "own" else ShuffledObserved
+    return kind(env, Estimator.load(file_of(pair["estimator_sha256"])))
 
 
 class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):

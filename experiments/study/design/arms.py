@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.study.design.traffic import ALL, BETWEEN, TRAFFICS, Traffic
+from experiments.study.design.traffic import ALL, BETWEEN, TRAFFICS, WITHOUT, Traffic
 
 TEST = 2**32  # where the seeds of the test scenarios begin
 NUMBERED = range(10**9)  # of trainings and of scenarios
@@ -43,27 +43,38 @@ EVERY_ARM: dict[str, Arm] = {
         Arm("treatment", ALL["risky"], judged_in=("risky",)),
         *(Arm(name, ALL[name]) for name in BETWEEN),
         Arm("mixed", ALL["mixed"], judged_in=TRAFFICS),
+        *(Arm(name, traffic, judged_in=("risky",)) for name, traffic in WITHOUT.items()),
         Arm("told", ALL["mixed"], judged_in=TRAFFICS, rules={"dose_observed": True}),
     )
 }
 
 
 class Pair(NamedTuple):
-    """A policy made of two trained agents, whose Q-values are averaged (`agents.belief.Weighed`).
+    """Control agent k and treated agent k, who drive together without further training (`agents.belief.Together`).
 
-    arms: of the two agents, which have training seeds k and k + half of the number of seeds. weight: of the second:
-    "half", the "belief" that the dose is 1, the "dose" itself, or the belief of another episode ("shuffled").
+    rule: entries of `agents.belief.Rule`. belief: by which of them acts: of the "own" episode, of "another" one, or
+    "none", which is always unsure.
     """
 
-    arms: tuple[str, str] = ("control", "treatment")
-    weight: str = "half"
+    rule: Mapping[str, Any]
+    belief: str = "own"
+
+    @property
+    def is_estimated(self) -> bool:
+        """Whether an estimator is asked."""
+        return self.belief != "none"
 
 
+UNSURE = {"unsure": [0.2, 0.8]}
+WEIGHED = {"weighed": [3.0, 0.3]}  # chosen by the pilot of plan 4 (docs/earlier-studies.md)
+REGISTERED = "pair"  # what the plan asks about; the others stand beside it
 PAIRS = {
-    **{f"two-{arm}": Pair((arm, arm)) for arm in ("control", "treatment", "mixed")},
-    **{"half": Pair(), "belief": Pair(weight="belief"), "true-dose": Pair(weight="dose")},
-    "shuffled": Pair(weight="shuffled"),
+    "pair": Pair(UNSURE),
+    "careful-start": Pair({"careful_steps": 2, **WEIGHED}),
+    "careful": Pair(UNSURE, "none"),
+    "weighed": Pair(WEIGHED),
 }
+PAIRS["shuffled"] = PAIRS[REGISTERED]._replace(belief="another")
 ARMS = ("control", "treatment")  # of the primary comparison; the others are exploratory
 EXTRA_ARMS = tuple(name for name in EVERY_ARM if name not in ARMS)
 DOSE_ARMS = ("control", *BETWEEN, "treatment")

@@ -1,4 +1,4 @@
-"""Where the estimators of the dose of risk lie, which of them a cell means, and the rule by which a belief acts."""
+"""Where the estimators of the dose of risk lie, and which of them a cell means."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from experiments.study.design.grid import Cell
 
 FOLDER = Path(__file__).resolve().parents[3] / "results" / "estimators"
-# Sharpness and threshold, see `agents.belief.sharpened`; chosen by a pilot (docs/earlier-studies.md).
-RULE = (3.0, 0.3)
 
 
 def digest(cell: Cell) -> str:
     """SHA-256 of the estimator of a cell's task and level. Raises ValueError where there is none."""
-    return sha256(FOLDER / f"{cell.task}-{cell.level_name}.npz")
+    name = f"{cell.task}-{cell.level_name}"
+    if not (file := FOLDER / f"{name}.npz").exists():
+        raise ValueError(f"two agents need an estimator {file}: python experiments/estimators.py {name}")
+    return sha256(file)
 
 
 def file_of(wanted: str) -> Path:

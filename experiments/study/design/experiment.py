@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from itertools import product
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from agents.plugins import foreign
-from agents.rules import CAUTIONS, POLICIES
+from agents.rules import CAUTIONS, DRIVERS, POLICIES
 from experiments.backends import BACKENDS
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED, PAIRS
-from experiments.study.design.estimators import RULE, digest
+from experiments.study.design.estimators import digest
 from experiments.study.design.fingerprint import dynamics, learner_name
 from experiments.study.design.grid import (
     LEARNER,
@@ -25,11 +24,11 @@ from experiments.study.design.grid import (
 )
 from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
-from experiments.study.design.traffic import BETWEEN, TRAFFICS, UNSEEN, traffic_named, unseen_traffics
+from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.support.errors import UserError, in_words, unknown
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
-ELSEWHERE = 200  # test episodes of a pair in each other traffic, at most
+PLANNED = 100  # test episodes of `drivers` in each traffic, at most
 Dynamics = Callable[[str, str], str]
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
@@ -40,8 +39,10 @@ class Experiment:
 
     learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `rules.TrainingRules`, before
     updates, network, settings and crash_reward, which are the same for all tasks. gate_episodes: episodes in each
-    traffic for the gates. levels: none are all. first_seed, first_scenario: where training seeds and test scenarios
-    begin, so that studies share none. The others are options.
+    traffic for the gates. levels: none are all. further_episodes: of a further test in each traffic, at most. lightest:
+    further traffics, for the lightest level alone (of SUMO's drivers on SUMO). at_ends: by task an arm more, for the
+    lightest and the densest level. first_seed, first_scenario: where training seeds and test scenarios begin, so that
+    studies share none. The others are options.
     """
 
     preset: str
@@ -59,6 +60,7 @@ class Experiment:
     unseen: bool = False
     traffics: tuple[str, ...] = ()
     frontier: bool = False
+    drivers: tuple[str, ...] = ()
     pairs: bool = False
     config: tuple[str, ...] = ()
     crash_reward: float | None = None
@@ -67,6 +69,9 @@ class Experiment:
     settings: tuple[str, ...] = ()
     network: str | None = None
     policy: tuple[str, ...] = ()
+    further_episodes: int | None = None
+    lightest: tuple[str, ...] = ()
+    at_ends: Mapping[str, str] = field(default_factory=dict)
     first_seed: int = 0
     first_scenario: int = 0
 
@@ -87,34 +92,31 @@ class Experiment:
         tasks = choose_tasks(self.tasks or tuple(GRID))
         levels = choose_levels(tasks, self.levels or None)
         policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
-        drivers = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))
+        for name in self.drivers:
+            if name not in DRIVERS:
+                raise unknown("driver", name, DRIVERS)
+        rules = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
             common = self._common(task, level, dynamics)
             agents = list(self._agents(common))
             cells += agents
             cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
-            cells += self._pairs(agents) if self.pairs else []
-            cells += [replace(common, policy=name) for name in drivers]
+            if self.pairs and self.learner == LEARNER and is_end(task, level):
+                cells += self._pairs(agents)
+            cells += [replace(common, policy=name) for name in rules]
+            if level == 1:
+                others = [
+                    name for name in dict.fromkeys(self.drivers) if name != "sumo" or self.backend == "sumo"
+                ]
+                cells += [
+                    replace(common, policy=name, test_on=tests_of(common, TRAFFICS, PLANNED))
+                    for name in others
+                ]
             for label, (source, digits) in policies.items():
                 profile = {**common.profile, "policy_sha256": digits}
                 cells.append(replace(common, policy=label, source=source, profile=profile))
-        for option, is_answered in self._answers(cells):
-            if not is_answered:
-                raise UserError(f"{option} asks for nothing here: leave it out")
         return cells
-
-    def _answers(self, cells: Sequence[Cell]) -> Iterator[tuple[str, bool]]:
-        """What is asked for by name, and whether there is a cell of it."""
-        tests = [cell for cell in cells if cell.kind == "test"]
-        for task in self.tasks:
-            yield f"--tasks {task}", any(cell.task == task for cell in cells)
-        for name in self.test_on:
-            yield f"--test-on {name}", any(cell.runs_on == name != self.backend for cell in tests)
-        if self.unseen:
-            yield "--unseen", any(set(cell.tested["traffics"]) <= set(UNSEEN) for cell in tests)
-        if self.pairs:
-            yield "--pairs", any(cell.pair for cell in tests)
 
     def _common(self, task: str, level: int, dynamics: Dynamics) -> Cell:
         """What the cells of a task and level have in common, as a baseline without a policy."""
@@ -139,7 +141,8 @@ class Experiment:
 
     def _agents(self, common: Cell) -> Iterator[Cell]:
         """The agents of a task and level: every arm of each training seed."""
-        seeds, arms = self.seeds, dict.fromkeys(self.arms or ARMS)
+        further = [self.at_ends[common.task]] if self._has_more(common) else []
+        seeds, arms = self.seeds, dict.fromkeys([*(self.arms or ARMS), *further])
         if seeds < 1:
             raise UserError(f"at least one seed is needed, not {seeds}")
         if self.placebo:
@@ -163,39 +166,43 @@ class Experiment:
                     source=self.learner if self._own_learner else self._own_network,
                 )
 
+    def _has_more(self, cell: Cell) -> bool:
+        return cell.task in self.at_ends and is_end(cell.task, cell.level)
+
     def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
+        most, on_sumo = self.further_episodes, self.backend == "sumo"
         if set(self.arms) & set(BETWEEN) and agent.arm in DOSE_ARMS:
-            yield _tested(agent, BETWEEN)
+            yield _tested(agent, BETWEEN, most)
         if self.unseen and (unseen := unseen_traffics(agent.task, self.backend)):
-            yield _tested(agent, unseen)
-        if self.traffics:
-            further = {name: traffic_named(name) for name in self.traffics}
-            if self.backend != "sumo" and any(traffic.is_of_sumo for traffic in further.values()):
-                raise UserError(f"--traffics {' '.join(further)} has drivers that {self.backend} has not")
-            yield _tested(agent, further)
+            yield _tested(agent, unseen, most)
+        further = {name: traffic_named(name) for name in self.traffics}
+        if not on_sumo and any(traffic.is_of_sumo for traffic in further.values()):
+            raise UserError(f"--traffics {' '.join(further)} has drivers that {self.backend} has not")
+        if agent.level == 1 and agent.arm in ARMS:
+            known = {name: traffic_named(name) for name in self.lightest}
+            further |= {name: one for name, one in known.items() if on_sumo or not one.is_of_sumo}
+        if further:
+            yield _tested(agent, further, most)
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
                 config = env_config(other, agent.task, agent.level, self._changes)
                 where = {"backend": other, "env_config": config, "dynamics": dynamics(other, agent.task)}
-                yield _tested(agent, TRAFFICS, TRANSFER_EPISODES.get(other), **where)
+                yield _tested(agent, TRAFFICS, TRANSFER_EPISODES.get(other, most), **where)
 
     def _pairs(self, agents: Sequence[Cell]) -> Iterator[Cell]:
-        """The tests of two agents together; those that are told nothing also elsewhere."""
+        """The tests of control agent k and treated agent k together."""
         by_place = {(agent.arm, agent.seed): agent for agent in agents}
-        half = self.seeds // 2
-        for first, (name, pair) in product(range(self.first_seed, self.first_seed + half), PAIRS.items()):
-            one, other = (by_place.get(place) for place in zip(pair.arms, (first, first + half), strict=True))
-            if one is None or other is None:
+        for (arm, seed), control in by_place.items():
+            treated = by_place.get(("treatment", seed))
+            if arm != "control" or treated is None:
                 continue
-            made: dict[str, Any] = {"agents": [one.name, other.name], "weight": pair.weight}
-            if pair.weight in ("belief", "shuffled"):
-                made |= {"rule": list(RULE), "estimator_sha256": digest(one)}
-            both = replace(one, arm=name, pair=made)
-            yield _tested(both, TRAFFICS)
-            if pair.weight in ("half", "belief"):
-                yield _tested(both, BETWEEN, ELSEWHERE)
-                yield _tested(both, unseen_traffics(one.task, one.backend), ELSEWHERE)
+            for name, pair in PAIRS.items():
+                made: dict[str, Any] = {"agents": [control.name, treated.name], "belief": pair.belief}
+                made["rule"] = dict(pair.rule)
+                if pair.is_estimated:
+                    made["estimator_sha256"] = digest(control)
+                yield _tested(replace(control, arm=name, pair=made), TRAFFICS)
 
     def profile(self, task: str) -> dict[str, Any]:
         """Every setting of the learner on a task and the rules of its training, as plain values.
@@ -248,11 +255,20 @@ class Experiment:
         return _assignments(self.config, "--config", "collision_reward=-2")
 
 
+def is_end(task: str, level: int) -> bool:
+    """Whether it is the lightest or the densest level of a task."""
+    return level in (1, len(level_names(task)))
+
+
+def tests_of(cell: Cell, traffics: Iterable[str], most: int | None = None, **where: Any) -> dict[str, Any]:
+    """What a further test of a cell is: in some traffics, with its own number of episodes or so many at most."""
+    here = {"backend": cell.backend, "env_config": cell.env_config, **where}
+    return {**here, "traffics": list(traffics), "episodes": min(cell.episodes, most or cell.episodes)}
+
+
 def _tested(agent: Cell, traffics: Iterable[str], most: int | None = None, **where: Any) -> Cell:
-    """A further test of an agent in some traffics, with its own number of episodes or so many at most."""
-    episodes = agent.episodes if most is None else min(agent.episodes, most)
-    here = {"backend": agent.backend, "env_config": agent.env_config, **where}
-    return replace(agent, kind="test", test_on={**here, "traffics": list(traffics), "episodes": episodes})
+    """A further test of an agent."""
+    return replace(agent, kind="test", test_on=tests_of(agent, traffics, most, **where))
 
 
 def _assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:

@@ -49,8 +49,8 @@ class Cell:
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     test_on: of a further test its backend, env_config, traffics and episodes. pair: of a test of two agents together
-        (arm: of `arms.PAIRS`, seed: the first's) the names of their cells (agents), weight, and where the belief is
-        asked rule (see `agents.belief.sharpened`) and estimator_sha256.
+        (arm: of `arms.PAIRS`, seed: of both) the names of their cells (agents), rule and belief as in `arms.Pair`, and
+        where an estimator is asked estimator_sha256.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
         the file's fingerprint.
     """

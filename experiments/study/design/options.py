@@ -42,7 +42,8 @@ class Asked:
     updates: Annotated[int | None, argument("N")] = None
     """Training budget of an agent in updates, the same for all tasks."""
     arms: Annotated[Names, argument("ARM ...", "control treatment")] = None
-    """control, treatment, dose25, dose50, dose75 (tested at these too), mixed, told (mixed, the dose is observed)."""
+    """control, treatment, dose25, dose50, dose75 (tested at these too), mixed, told (mixed, the dose is observed),
+    no-brake, no-cut-in (treatment without these events)."""
     placebo: Flag = None
     """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
     test_on: Annotated[Names, argument("NAME ...", "none")] = None
@@ -53,8 +54,10 @@ class Asked:
     """Further traffics to test in: measured (drivers as published), or any other one by its name."""
     frontier: Flag = None
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
+    drivers: Annotated[Names, argument("NAME ...", "none")] = None
+    """Drivers to test as well, in the lightest traffic: planner, clairvoyant, and on SUMO sumo (its own driver)."""
     pairs: Flag = None
-    """Also test two agents together, of seeds k and k + half of the seeds: their Q-values averaged, by a belief too."""
+    """Also test control agent k and treated agent k (of dqn) together, in each task's lightest and densest traffic."""
     config: Annotated[Names, argument("KEY=VALUE ...", "none")] = None
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     crash_reward: Annotated[float | None, argument("X", "none")] = None

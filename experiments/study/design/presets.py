@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -11,7 +11,9 @@ from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.options import Asked
 from experiments.study.design.sheet import SHEETS
+from experiments.study.design.traffic import UNSEEN
 from experiments.support.errors import UserError, unknown
+from sumo_env.config import MEASURED
 
 # Training episodes of an agent in the paper. Budgets are counted in updates, equal for both arms: the number of
 # target copies sets how far an agent looks ahead, and with it its appetite for risk, while equal numbers of episodes
@@ -49,15 +51,13 @@ def tuned(updates: Mapping[str, int], **settings: Any) -> dict[str, dict[str, An
     return {task: {"updates": budget, **LONGER.get(task, {}), **settings} for task, budget in updates.items()}
 
 
-STUDY = Experiment(
-    preset="study",
-    about="the study: learners that go on until they have finished, five seeds, 400 scenarios: 17 core hours",
+AGENTS = Experiment(  # of the study, and of the choice of its learner
+    preset="",
+    about="",
     seeds=5,
     episodes=400,
     gate_episodes=100,
     learners=tuned({task: own.study_steps for task, own in SHEETS.items()}),
-    first_seed=300,
-    first_scenario=4000,
 )
 PRESETS = {
     experiment.preset: experiment
@@ -80,9 +80,21 @@ PRESETS = {
             gate_episodes=100,
             learners=tuned({task: own.quick_updates for task, own in SHEETS.items()}),
         ),
-        STUDY,
         replace(
-            STUDY,
+            AGENTS,
+            preset="study",
+            about="the study (docs/developers/plan_v5.md): 18 settings, five seeds, 400 scenarios: 21 core hours",
+            first_seed=300,
+            first_scenario=4000,
+            test_on=("replica",),
+            lightest=("only-parameters", MEASURED),
+            further_episodes=200,
+            drivers=("planner", "sumo"),
+            pairs=True,
+            at_ends={"highway": "no-brake", "u-turn": "no-cut-in"},
+        ),
+        replace(
+            AGENTS,
             preset="choice",
             about="the choice of the learner (experiments/choose.py), by agents that no report uses: hours",
             seeds=3,
@@ -106,7 +118,7 @@ PRESETS = {
 
 
 def complete(asked: Asked) -> Experiment:
-    """What is asked for, and for the rest what its preset says.
+    """What is asked for, and for the rest what its preset says; arms that are asked for are all.
 
     Raises:
         UserError: there is no such preset, or two options contradict each other.
@@ -116,9 +128,30 @@ def complete(asked: Asked) -> Experiment:
     if asked.placebo and asked.arms:
         raise UserError("--placebo trains control agents alone: leave out --arms")
     given = {field.name: getattr(asked, field.name) for field in fields(Asked)}
-    return replace(PRESETS[asked.preset], **{name: v for name, v in given.items() if v is not None})
+    found = replace(PRESETS[asked.preset], **{name: v for name, v in given.items() if v is not None})
+    return replace(found, at_ends={}) if asked.arms or asked.placebo else found
 
 
 def cells_of(asked: Asked, dynamics: Dynamics = dynamics) -> list[Cell]:
     """All cells of what is asked for. Raises UserError where something does not exist or makes no sense."""
-    return complete(asked).cells(dynamics)
+    experiment = complete(asked)
+    cells = experiment.cells(dynamics)
+    for option, is_answered in _answers(asked, experiment.backend, cells):
+        if not is_answered:
+            raise UserError(f"{option} asks for nothing here: leave it out")
+    return cells
+
+
+def _answers(asked: Asked, backend: str, cells: Sequence[Cell]) -> Iterator[tuple[str, bool]]:
+    """What is asked for by name, and not by the preset alone, and whether there is a cell of it."""
+    tests = [cell for cell in cells if cell.kind == "test"]
+    for task in asked.tasks or ():
+        yield f"--tasks {task}", any(cell.task == task for cell in cells)
+    for name in asked.test_on or ():
+        yield f"--test-on {name}", any(cell.runs_on == name != backend for cell in tests)
+    for name in asked.drivers or ():
+        yield f"--drivers {name}", any(cell.policy == name for cell in cells)
+    if asked.unseen:
+        yield "--unseen", any(set(cell.tested["traffics"]) <= set(UNSEEN) for cell in tests)
+    if asked.pairs:
+        yield "--pairs", any(cell.pair for cell in tests)

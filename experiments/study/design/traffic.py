@@ -26,7 +26,7 @@ class Traffic:
     dose: of risk; where it is drawn by the episode's seed, its mean. drawn: it is 0 or 1, by the episode's seed.
     events: the kind of risk events that there is alone, "" for none, None for all. drivers: None for those of the dose,
     "regular" for those of dose 0, "measured" for those of `sumo_env.traffic.measured`, or attributes of another
-    car-following model of SUMO, for the drivers of the dose.
+    car-following model of SUMO, for the drivers of the dose. without: a kind of risk event that there is not.
     """
 
     name: str
@@ -34,6 +34,7 @@ class Traffic:
     drawn: bool = False
     events: str | None = None
     drivers: str | Mapping[str, Any] | None = None
+    without: str | None = None
 
     @property
     def is_unseen(self) -> bool:
@@ -50,6 +51,11 @@ class Traffic:
         if not self.drawn:
             return self.dose
         return float(stream(seed, "dose").random() < 0.5)
+
+    def options(self, seed: int) -> dict[str, Any]:
+        """What `reset` is asked for in the episode with this seed; unseen traffic is also a `scenario` of its own."""
+        rates = {"risk_rates": {self.without.replace("-", "_"): 0.0}} if self.without else {}
+        return {"config": {"risk": self.dose_of(seed)}, **rates}
 
     def scenario(self, regular: Scenario, risky: Scenario) -> Scenario:
         """The scenario of unseen traffic, from those of one seed at dose 0 and 1."""
@@ -72,6 +78,7 @@ def _only(kind: str) -> Traffic:
 # before it: they are off.
 KRAUSS = {"carFollowModel": "Krauss", "sigma": 0}
 EIDM = {"carFollowModel": "EIDM", "sigmaerror": 0, "sigmaleader": 0, "sigmagap": 0}
+WITHOUT = {f"no-{kind}": Traffic(f"no-{kind}", 1.0, without=kind) for kind in ("cut-in", "brake")}
 ALL: dict[str, Traffic] = {
     traffic.name: traffic
     for traffic in (
@@ -88,11 +95,12 @@ ALL: dict[str, Traffic] = {
         Traffic("krauss", 1.0, drivers=KRAUSS),
         Traffic("eidm", 1.0, drivers=EIDM),
         Traffic(MEASURED, 0.0, drivers=MEASURED),
+        *WITHOUT.values(),
     )
 }
 TRAFFICS = ("regular", "risky")  # what every agent is tested in
 UNSEEN = tuple(name for name, traffic in ALL.items() if traffic.is_unseen)
-AT_A_DOSE = {name: one.dose for name, one in ALL.items() if not (one.drawn or one.is_unseen)}
+AT_A_DOSE = {name: one.dose for name, one in ALL.items() if not (one.drawn or one.is_unseen or one.without)}
 BETWEEN = tuple(name for name in AT_A_DOSE if name not in TRAFFICS)  # doses between 0 and 1
 
 

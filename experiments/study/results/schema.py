@@ -85,11 +85,10 @@ TEST = {
     "episodes": NUMBERED[1:],
     "env_config": CONFIG,
 }
-PAIR = {"agents": [str], "weight": str, "rule?": [int | float], "estimator_sha256?": str}
-NUMBERS, OR_NONE = (
-    [int | float],
-    [int | float | None],
-)  # None: of a part of a training in which no episode has ended
+RULE = {"careful_steps?": range(1000), "unsure?": [int | float] * 2, "weighed?": [int | float] * 2}
+PAIR = {"agents": [str] * 2, "belief": ("own", "another", "none"), "rule": RULE, "estimator_sha256?": str}
+# None: of a part of a training in which no episode has ended
+NUMBERS, OR_NONE = [int | float], [int | float | None]
 RECORD = {
     "schema": (RESULT_SCHEMA,),
     "key": KEY,
@@ -130,8 +129,10 @@ def check_record(name: str, record: Any) -> None:
     if key["kind"] == "test":
         check(key, {"test_on": TEST, "pair?": PAIR}, "key")
     elif "test_on" in key:
-        raise Wrong("key.test_on is for further tests alone")
-    if (GATES in record["files"]) != (key["kind"] != "test" and key["eval"]["gate_episodes"] > 0):
+        if is_agent:
+            raise Wrong("key.test_on is for further tests alone")
+        check(key, {"test_on": TEST}, "key")
+    if (GATES in record["files"]) != ("test_on" not in key and key["eval"]["gate_episodes"] > 0):
         raise Wrong(f"{GATES} is of the cells that are judged alone")
     if key["kind"] == "agent":
         check(record, OF_AGENT)

@@ -17,17 +17,16 @@ from experiments.analysis.claims import claims
 from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means, slopes
 from experiments.analysis.estimate import Estimate, equivalence, interval, linear
 from experiments.analysis.gates import THRESHOLDS
-from experiments.analysis.plan import OUTCOMES, Outcome, as_data
+from experiments.analysis.plan import OUTCOMES, STUDY, Outcome, as_data
 from experiments.study.design.sheet import SHEETS
 from experiments.study.results.store import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, arms_in, effects, find
-from tests.experiments.analysis.plans import MIXED
 
 
 class TestPlan:
     def test_its_digest_is_of_what_decides(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        plan = MIXED
+        plan = STUDY
         before = as_data(plan, THRESHOLDS)
         monkeypatch.setitem(OUTCOMES, "return", replace(OUTCOMES["return"], label="Sum of rewards", digits=4))
         monkeypatch.setitem(OUTCOMES, "waiting", Outcome("Waiting", "s", -1, 1, of=len))

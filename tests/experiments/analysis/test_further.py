@@ -13,7 +13,6 @@ import pytest
 from experiments.analysis.analysis import Analysis, analyse, own_agents
 from experiments.analysis.claims import price
 from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means
-from experiments.analysis.pairs import units
 from experiments.analysis.plan import DEFAULT, Bound
 from experiments.analysis.scores import arms_of, with_outcomes
 from experiments.study.results.store import Results, load
@@ -116,12 +115,11 @@ def test_cells_of_two_versions_never_share_a_mean(results: Results, analysis: An
         pd.testing.assert_frame_equal(getattr(found, name), getattr(analysis, name))
 
 
-def test_an_episode_that_is_there_twice_is_an_error_wherever_arrays_are_made(results: Results) -> None:
+def test_an_episode_that_is_there_twice_is_an_error(results: Results) -> None:
     episodes = own_agents(with_outcomes(results))
     twice = pd.concat([episodes, episodes[episodes["seed"] == 1]], ignore_index=True)
-    for function in (arms_of, units):
-        with pytest.raises(ValueError, match="twice"):
-            function(twice)
+    with pytest.raises(ValueError, match="twice"):
+        arms_of(twice)
 
 
 def test_means_and_the_price_ask_the_settings_of_the_plan_alone(results: Results) -> None:

@@ -62,15 +62,21 @@ def test_a_mean_over_tasks_has_every_one_left_out_below_it() -> None:
     assert by_task.means_of_tasks(analysis(by_task=one_task), "sumo").empty
 
 
-def test_tasks_are_on_the_side_that_their_interval_allows() -> None:
-    sides = [
-        by_task.sides(analysis(by_task=TASKS), "sumo", "crashed", ("sumo", name))
-        for name in ("regular", "risky")
-    ]
-    assert sides == [
-        {"less": [], "more": ["two-way"], "open": ["u-turn"]},
-        {"less": ["u-turn", "two-way"], "more": [], "open": []},
-    ]
+def test_tasks_are_on_the_side_that_the_plan_or_their_interval_says() -> None:
+    """Of the primary outcome at home by the plan, whatever the interval says; of all else by the interval."""
+    verdicts = [("u-turn", "risky", "less"), ("two-way", "risky", "open"), ("two-way", "regular", "more")]
+    primary = pd.DataFrame(verdicts, columns=["scope", "term", "verdict"])
+    found = analysis(by_task=TASKS, primary=primary.assign(backend="sumo", outcome="crashed"))
+    assert by_task.sides(found, "sumo", "crashed", ("sumo", "risky")) == {
+        "less": ["u-turn"],
+        "more": [],
+        "open": ["two-way"],
+    }
+    assert by_task.sides(found, "sumo", "crashed", ("sumo", "regular"))["more"] == ["two-way"]
+    per_distance = by_task.sides(found, "sumo", "crashes_per_100_km", ("sumo", "risky"))
+    assert per_distance == {"less": ["u-turn"], "more": [], "open": []}
+    away = by_task.sides(found, "sumo", "crashed", ("replica", "risky"))
+    assert away == {"less": ["u-turn"], "more": [], "open": []}
 
 
 def test_settings_in_which_gates_fail_are_named() -> None:

@@ -9,11 +9,20 @@ import pytest
 
 from agents.streams import episode_seed
 from experiments.study.design import experiment, grid
-from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
+from experiments.study.design.arms import (
+    ARMS,
+    DOSE_ARMS,
+    EVERY_ARM,
+    PAIRS,
+    TEST,
+    scenario_seed,
+    training_seed,
+)
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.options import Asked
 from experiments.study.design.presets import cells_of
-from experiments.study.design.traffic import unseen_traffics
+from experiments.study.design.sheet import GRID
+from experiments.study.design.traffic import WITHOUT, unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
@@ -140,14 +149,59 @@ def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
     assert len(ours) == 5 and steps(preset="study", learner=learner) == ours
 
 
-def test_the_study_has_seeds_and_scenarios_that_no_other_preset_has() -> None:
-    study = cells_of(Asked(preset="study"))
-    agents = [cell for cell in study if cell.kind == "agent"]
+@pytest.fixture
+def study(monkeypatch: pytest.MonkeyPatch) -> list[grid.Cell]:
+    """The cells of plan 5, whatever estimators are there."""
+    monkeypatch.setattr(experiment, "digest", lambda cell: "0" * 64)
+    return cells_of(Asked(preset="study"))
+
+
+def test_the_study_has_seeds_and_scenarios_that_no_other_preset_has(study) -> None:
+    agents = [cell for cell in study if cell.kind == "agent" and cell.arm in ARMS]
     places = {(cell.task, cell.level_name) for cell in agents}
     assert len(places) == 18 and len(agents) == 18 * 2 * 5
     assert {(cell.arm, cell.seed) for cell in agents} == {(a, s) for a in ARMS for s in range(300, 305)}
     asked = {"episodes": 400, "gate_episodes": 100, "first_scenario": 4000}
     assert all(cell.eval == asked for cell in study)
+
+
+def test_the_study_has_the_further_tests_of_its_plan(study) -> None:
+    def places(**wanted) -> set[tuple[str, str]]:
+        return {
+            (cell.task, cell.level_name)
+            for cell in study
+            if all(getattr(cell, name) == value for name, value in wanted.items())
+        }
+
+    ends = {(task, names[at]) for task, names in GRID.items() for at in (0, -1)}
+    light = {(task, names[0]) for task, names in GRID.items()}
+    assert all(places(arm=name) == ends for name in PAIRS)
+    assert sum(cell.pair is not None for cell in study) == 10 * 5 * len(PAIRS)
+    # one kind of event is left out of training
+    assert places(arm="no-brake") == {place for place in ends if place[0] == "highway"}
+    assert places(arm="no-cut-in") == {place for place in ends if place[0] == "u-turn"}
+    assert sum(cell.arm in WITHOUT and cell.kind == "agent" for cell in study) == 20
+    for name in ("planner", "sumo"):
+        assert places(policy=name) == light
+        assert {cell.tested["episodes"] for cell in study if cell.policy == name} == {100}
+    tests = [cell for cell in study if cell.kind == "test" and not cell.pair]
+    assert {cell.tested["episodes"] for cell in tests} == {200}
+    away = [cell for cell in tests if cell.runs_on == "replica"]
+    unseen = [cell for cell in tests if cell.tested["traffics"] == ["only-parameters", "measured"]]
+    assert len(away) == 200 and len(unseen) == 5 * 2 * 5 and len(tests) == 250
+    assert {(cell.task, cell.level_name) for cell in unseen} == light
+
+
+def test_a_part_of_the_study_is_asked_for_by_options(study) -> None:
+    lightest = Asked(preset="study", tasks=("u-turn",), levels=(1,))
+    part = cells_of(replace(lightest, arms=("control",)))
+    assert {cell.name for cell in part} <= {cell.name for cell in study}
+    assert {(cell.arm, cell.seed) for cell in part if cell.kind == "agent"} == {
+        ("control", 300 + k) for k in range(5)
+    }
+    assert not any(cell.pair for cell in part)
+    first = cells_of(replace(lightest, arms=ARMS, seeds=1))
+    assert sum(cell.kind == "agent" for cell in first) == 2 and any(cell.pair for cell in first)
 
 
 @pytest.mark.parametrize("first", [-1, 10**9 - 1])

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from agents.belief import Estimator
+from agents.columns import Observed
 from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.grid import Cell, cell_name
@@ -19,8 +20,7 @@ from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
 
-ARMS = ("control", "treatment", "mixed")
-ASKED: dict[str, Any] = {"updates": 20, "arms": ARMS, "seeds": 2, "pairs": True, "episodes": 4}
+ASKED: dict[str, Any] = {"updates": 20, "seeds": 2, "pairs": True, "episodes": 4}
 
 
 def known(backend: str, task: str) -> str:
@@ -44,32 +44,31 @@ def pairs(**asked: Any) -> dict[str, Cell]:
 
 
 class TestCells:
-    def test_each_pair_has_an_agent_of_either_half_of_the_seeds(self, own_estimators: Path) -> None:
-        found = pairs(seeds=6)
-        for name, pair in PAIRS.items():
+    def test_a_pair_is_a_control_and_a_treated_agent_of_one_number(self, own_estimators: Path) -> None:
+        found = pairs(seeds=3)
+        for name in PAIRS:
             for k in range(3):
                 first, second = found[f"sumo-u-turn-3-{name}-s{k}"].parents
-                assert first.startswith(f"sumo-u-turn-3-{pair.arms[0]}-s{k}-")
-                assert second.startswith(f"sumo-u-turn-3-{pair.arms[1]}-s{k + 3}-")
-        ends = {slug.partition("-s0")[2] for slug in found if "-s0" in slug}
-        assert ends == {"", "-doses", "-unseen"} and len(found) == 3 * (len(PAIRS) + 10)
+                assert first.startswith(f"sumo-u-turn-3-control-s{k}-")
+                assert second.startswith(f"sumo-u-turn-3-treatment-s{k}-")
+        assert len(found) == 3 * len(PAIRS)
+        with pytest.raises(UserError, match="nothing"):
+            pairs(arms=("treatment", "mixed"))
 
     def test_names_follow_the_estimator_where_one_is_asked(self, own_estimators: Path) -> None:
         before = pairs()
         Estimator(torch.tensor([[0.2, 0.9]])).save(own_estimators / "u-turn-3.npz")
         after = pairs()
-        moved = {
-            PAIRS[before[slug].arm or ""].weight for slug in before if before[slug].name != after[slug].name
-        }
-        assert moved == {"belief", "shuffled"}
+        moved = {before[slug].arm for slug in before if before[slug].name != after[slug].name}
+        assert moved == {*PAIRS} - {"careful"}
 
     def test_names_follow_agents_and_rule(self, own_estimators: Path) -> None:
-        cell = pairs()["sumo-u-turn-3-belief-s0"]
-        other = pairs(updates=123)["sumo-u-turn-3-belief-s0"]
+        cell = pairs()["sumo-u-turn-3-weighed-s0"]
+        other = pairs(updates=123)["sumo-u-turn-3-weighed-s0"]
         assert other.name != cell.name
         key = cell.key()
-        assert key["pair"]["rule"] == list(estimators.RULE)
-        key["pair"] = {**key["pair"], "rule": [9.0, 0.1]}
+        assert key["pair"]["rule"] == {"weighed": [3.0, 0.3]}
+        key["pair"] = {**key["pair"], "rule": {"weighed": [9.0, 0.1]}}
         assert cell_name(key, cell.versions) != cell.name
 
     def test_no_other_cell_knows_of_pairs(self, own_estimators: Path) -> None:
@@ -91,26 +90,30 @@ class TestSweep:
     def store(self, own_estimators: Path, tmp_path: Path) -> Store:
         tasks = tasks_of(tmp_path / "out", **ASKED)
         compute([task for task in tasks if task.cell.kind == "agent"])
-        compute([task for task in tasks if task.cell.pair and not task.cell.slug.endswith("-unseen")])
+        compute([task for task in tasks if task.cell.pair])
         return Store(tmp_path / "out")
 
-    def test_who_is_told_drives_as_the_agent_of_the_traffic(self, store: Store) -> None:
-        """The first of a pair at dose 0, the second at dose 1; and two agents of one arm as neither need."""
+    def test_who_is_sure_drives_as_the_agent_of_the_traffic(self, store: Store, monkeypatch: Any) -> None:
+        """The control agent at a belief of 0, the treated one at 1, and neither alone while nothing is known."""
         tables = {name.rpartition("-")[0]: store.tables(name)[EPISODES] for name in store.finished()}
-        told = tables["sumo-u-turn-3-true-dose-s0"]
-        for traffic, agent in (("regular", "control-s0"), ("risky", "treatment-s1")):
-            alone = tables[f"sumo-u-turn-3-{agent}"]
-            actions = [rows.loc[rows["traffic"] == traffic, "actions"].tolist() for rows in (told, alone)]
-            assert actions[0] == actions[1]
-        assert set(told["traffic"]) == {"regular", "risky"}
-        doses = tables["sumo-u-turn-3-half-s0-doses"]
-        assert set(doses["traffic"]) == {"dose25", "dose50", "dose75"}
+        assert {*tables["sumo-u-turn-3-pair-s0"]["traffic"]} == {"regular", "risky"}
+        [task] = [
+            task for task in tasks_of(store.directory, **ASKED) if task.cell.slug == "sumo-u-turn-3-pair-s0"
+        ]
+        for belief, agent in ((0.0, "control-s0"), (1.0, "treatment-s0")):
+
+            def sure(env: Any, _: Any, belief: float = belief) -> Observed:
+                return Observed(env, lambda _: belief)
+
+            monkeypatch.setattr("experiments.study.compute.policies.believing", sure)
+            told = task._test(task.make_env("sumo", "u-turn", {}), lambda: None, {})[EPISODES]
+            assert told["actions"].tolist() == tables[f"sumo-u-turn-3-{agent}"]["actions"].tolist()
 
     def test_weights_in_half_precision_give_the_same_test(
         self, store: Store, own_estimators: Path, tmp_path: Path
     ) -> None:
         """So that pairs can be tested from the published weights."""
-        [name] = [name for name in store.finished() if name.startswith("sumo-u-turn-3-belief-s0-")][:1]
+        [name] = [name for name in store.finished() if name.startswith("sumo-u-turn-3-pair-s0-")][:1]
         store.pack()
         for path in (store.directory / "weights").glob("*.npz"):
             with np.load(path) as arrays:

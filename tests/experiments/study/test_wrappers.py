@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 from agents.streams import episode_seed
+from experiments.backends import make_env as make_sumo
 from experiments.study.compute.wrappers import TimeObserved, TrainingEnv, observed
+from experiments.study.design.arms import EVERY_ARM
+from experiments.study.design.grid import env_config
 from experiments.study.design.rules import TrainingRules
 from experiments.study.design.traffic import ALL
 from sumo_env.env import DrivingEnv
@@ -91,6 +96,18 @@ def test_an_episode_has_a_dose_that_its_seed_draws() -> None:
     env = TrainingEnv(make_env("sumo", "u-turn"), PLAIN, ALL["mixed"], 0)
     env.reset(seed=17, options={"config": {"risk": 0.25}})
     assert env.get_wrapper_attr("config")["risk"] == doses[17]
+
+
+@pytest.mark.parametrize(("arm", "task"), [("no-brake", "highway"), ("no-cut-in", "u-turn")])
+def test_one_kind_of_event_can_be_left_out_of_a_training(arm: str, task: str) -> None:
+    """All others are there, and so is the kind in the test of the same environment."""
+    with closing(make_sumo("sumo", task, env_config("sumo", task, 1))) as inner:
+        env = TrainingEnv(inner, PLAIN, EVERY_ARM[arm].traffic, 0)
+        kinds = []
+        for own in (env, inner):
+            own.reset(seed=3, options={"config": {"risk": 1.0}})
+            kinds.append({event.kind for event in inner.unwrapped.scenario.events})  # type: ignore[attr-defined]
+        assert kinds[1] - kinds[0] == {arm.removeprefix("no-")} and kinds[0]
 
 
 def test_the_environments_of_a_training_share_its_episodes_out() -> None:

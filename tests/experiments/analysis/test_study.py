@@ -1,0 +1,220 @@
+"""Plan 5 on made-up agents whose truth is known: the ten effects, its stages, and what it asks of the learner."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from experiments.analysis.analysis import Analysis, analyse
+from experiments.analysis.claims import primary
+from experiments.analysis.effects import contrasts, means
+from experiments.analysis.gates import change, last_second
+from experiments.analysis.plan import DEFAULT, ENDS, STUDY, Learner, plan_of, reached
+from experiments.analysis.scores import Arms, Setting
+from experiments.reporting import by_task
+from experiments.study.design.sheet import GRID, SHEETS
+from experiments.study.results.store import load
+from experiments.support.errors import UserError
+from tests.experiments import synthetic
+from tests.experiments.analysis.made_up import PAIR
+from tests.experiments.analysis.plans import SMALL
+
+CRASHES = [("crashed", "risky"), ("crashed", "regular")]
+Effects = dict[
+    str, tuple[float, float]
+]  # of training on the crash rate in risky and regular traffic, by task
+
+
+class TestPlan:
+    def test_follows_the_preset(self) -> None:
+        assert [plan_of([name]) for name in ("study", "quick")] == [STUDY, DEFAULT]
+
+    def test_its_ranges_are_the_sheets(self) -> None:
+        assert Learner().ranges == {task: own.return_range for task, own in SHEETS.items()}
+
+    def test_a_stage_is_reached_when_every_agent_of_it_is_there(self) -> None:
+        """Whatever is there of the next one."""
+
+        def agents(places: Any, seeds: int = 5) -> pd.DataFrame:
+            rows = [(*place, arm, 300 + k) for place in places for arm in PAIR for k in range(seeds)]
+            return pd.DataFrame(rows, columns=["task", "level_name", "arm", "seed"])
+
+        assert reached(STUDY, agents(ENDS)[:-1]) == ("", STUDY)
+        assert reached(STUDY, agents(ENDS, seeds=4)) == ("", STUDY)
+        everywhere = agents(STUDY.settings)
+        for there in (
+            agents(ENDS),
+            everywhere[everywhere["seed"] + (everywhere["level_name"] == "20") < 305],
+        ):
+            name, counted = reached(STUDY, there)
+            assert (name, {*counted.settings}) == ("a", {*ENDS})
+        assert reached(STUDY, everywhere) == ("b", STUDY)
+
+
+def study(effects: Effects, random: np.random.Generator, repeat: str = "sumo") -> dict[Setting, Arms]:
+    """The settings of stage a: five agents an arm."""
+    places: dict[Setting, Arms] = {}
+    for task, name in ENDS:
+        luck = random.uniform(size=(2, 1, 100))
+        arms = {}
+        for arm in PAIR:
+            more = np.array(effects.get(task, (0.0, 0.0)))[::-1] * (arm == "treatment")
+            rate = (
+                np.array([0.3, 0.5])[:, None, None] + more[:, None, None] + random.normal(0, 0.03, (2, 5, 1))
+            )
+            own = random.uniform(size=(2, 5, 100))  # half of the luck is the scenario's
+            arms[arm] = {"crashed": (np.where(random.uniform(size=own.shape) < 0.5, luck, own) < rate) * 1.0}
+        places[repeat, task, GRID[task].index(name) + 1, name] = arms
+    return places
+
+
+def ten(places: dict[Setting, Arms]) -> pd.DataFrame:
+    return primary(means(contrasts(places, {PAIR: CRASHES})), STUDY)
+
+
+class TestPrimary:
+    def test_what_was_planted_is_found_task_by_task(self) -> None:
+        planted = {"u-turn": (-0.3, 0.0), "two-way": (-0.2, 0.3), "highway": (0.0, 0.0)}
+        found = ten(study(planted, np.random.default_rng(1))).set_index(["scope", "term"])
+        assert len(found) == 10 and set(found["settings"]) == {2}
+        assert found["verdict"].to_dict() == dict.fromkeys(found.index, "open") | {
+            ("u-turn", "risky"): "less",
+            ("two-way", "risky"): "less",
+            ("two-way", "regular"): "more",
+        }
+        assert found.loc[("u-turn", "risky"), "estimate"] == pytest.approx(-0.3, abs=0.05)
+
+    def test_holm_is_over_all_ten(self) -> None:
+        found = ten(study({"u-turn": (-0.1, 0.0)}, np.random.default_rng(2))).sort_values("p")
+        assert found["p_adjusted"].iloc[0] == pytest.approx(min(10 * found["p"].iloc[0], 1.0))
+        assert found["p_adjusted"].is_monotonic_increasing
+
+    def test_without_effects_one_study_in_twenty_finds_any(self) -> None:
+        random, repeats = np.random.default_rng(3), 60
+        places = {key: arms for k in range(repeats) for key, arms in study({}, random, str(k)).items()}
+        wrong = ten(places).groupby("backend")["verdict"].agg(lambda side: (side != "open").any()).sum()
+        assert wrong <= stats.binom.ppf(1 - 1e-4, repeats, 0.05)
+
+
+def trained(task: str, level: int, returns: Any) -> dict[str, Any]:
+    return {"key": {"task": task, "level": level}, "learner": {"curve": {"return": list(returns)}}}
+
+
+class TestLearner:
+    def test_the_last_tenth_is_held_against_the_one_before_three_quarters(self) -> None:
+        """Agents that gain a tenth or three of the range between the two, whatever the other parts are."""
+        random, agents = np.random.default_rng(1), []
+        for task, change_ in (("highway", 0.1), ("u-turn", 0.3)):
+            size = Learner().ranges[task]
+            for level in (1, 2):
+                for _ in range(5):
+                    curve = random.normal(0, 5, 20)
+                    curve[13:15] = random.normal(0, 0.001 * size, 2)
+                    curve[18:] = change_ * size + random.normal(0, 0.001 * size, 2)
+                    agents.append(trained(task, level, curve))
+        agents.append(trained("u-turn", 2, [*[None] * 13, 1.0, None, *[None] * 3, 4.0, None]))
+        found = change(agents, Learner())
+        assert found.estimate == pytest.approx(0.2, abs=0.002)
+        assert found.low < 0.2 < found.high < 0.21
+
+    @pytest.mark.parametrize("rise", [1.0, 4.0])
+    def test_crashes_of_the_last_second_are_held_against_those_before(self, rise: float) -> None:
+        random, hazard, seconds = np.random.default_rng(2), 0.02, 10.0
+        agents, drives = 15, 400
+        first = random.exponential(1 / hazard, (agents, drives))
+        last = seconds - 1 + random.exponential(1 / (rise * hazard), (agents, drives))
+        time = np.where(first < seconds - 1, first, last).ravel()
+        table = pd.DataFrame({"crash_free_time": time.clip(max=seconds), "crashed": (time < seconds) * 1.0})
+        found = last_second(table.assign(seconds=seconds, cell=np.repeat(range(agents), drives)), 4.0)
+        assert found.low < rise < found.high
+        assert (found.low <= 1) == (rise == 1)
+
+    def test_a_constant_rate_of_crashes_is_found_to_be_one(self) -> None:
+        """Also where crashes are few."""
+        random, inside, repeats = np.random.default_rng(3), 0, 300
+        for hazard in (0.001, 0.02):
+            for _ in range(repeats // 2):
+                time = random.exponential(1 / hazard, 1500)
+                table = pd.DataFrame({"crash_free_time": time.clip(max=10.0), "crashed": (time < 10.0) * 1.0})
+                found = last_second(table.assign(seconds=10.0, cell=np.repeat(range(15), 100)), 4.0)
+                inside += found.low <= 1 <= found.high
+        assert inside >= stats.binom.ppf(1e-4, repeats, 0.95)
+
+
+STAGED = {"u-turn": (1, 2), "highway": (1,)}
+
+
+@pytest.mark.parametrize(
+    ("there", "settings"),
+    [
+        (lambda cell: cell.arm in (None, "control"), set()),  # its first arm is computed
+        (lambda cell: cell.level == 1 or cell.arm in (None, "control"), {"3"}),
+        (lambda cell: cell.kind == "baseline", set()),
+    ],
+)
+def test_a_study_is_reported_while_it_runs(there: Any, settings: set[str], tmp_path: Any) -> None:
+    for cell in synthetic.write(tmp_path, {"u-turn": (1, 2)}, seeds=2, tests=6, preset="small"):
+        if not there(cell):
+            (tmp_path / "cells" / f"{cell.name}.parquet").unlink()
+    found = analyse(load(tmp_path))
+    assert set(found.effects["level_name"]) == settings and found.notes["stage"] == ""
+    assert set(found.notes["unfinished"]) == {f"sumo-u-turn-{name}" for name in {"3", "6"} - settings}
+    assert set(found.policies.loc[found.policies["arm"] == "", "level_name"]) == {"3", "6"}
+
+
+def test_before_any_setting_is_complete_the_command_says_so(tmp_path: Any) -> None:
+    written = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, baselines=(), preset="small")
+    (tmp_path / "cells" / f"{written[0].name}.parquet").unlink()
+    with pytest.raises(UserError, match="no setting is complete yet"):
+        analyse(load(tmp_path))
+
+
+class TestStages:
+    """A folder whose first stage is complete; of the second an agent is lost."""
+
+    @pytest.fixture(scope="class")
+    def home(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
+        home = tmp_path_factory.mktemp("stages")
+        cells = synthetic.write(home, STAGED, seeds=2, tests=100, effect=-0.4, spread=0.0, preset="small")
+        [lost] = [cell.name for cell in cells if cell.slug == "sumo-u-turn-6-treatment-s1"]
+        (home / "cells" / f"{lost}.parquet").write_bytes(b"")
+        return home
+
+    @pytest.fixture(scope="class")
+    def analysis(self, home: Path) -> Analysis:
+        return analyse(load(home))
+
+    def test_what_is_not_complete_is_named_and_not_counted(self, analysis: Analysis) -> None:
+        assert analysis.notes["unfinished"] == {"sumo-u-turn-6": "1 of 4 agents are missing"}
+        assert analysis.notes["stage"] == "a"
+        assert set(analysis.effects["level_name"]) == {"50", "3"} and len(analysis.gates) == 2 * 2 * 2
+        assert set(analysis.primary["settings"]) == {1}
+
+    def test_the_primary_answer_is_what_was_planted_and_stands_first(self, analysis: Analysis) -> None:
+        found = analysis.primary.set_index(["scope", "term"])["verdict"]
+        assert {*found[:, "risky"]} == {"less"} and {*found[:, "regular"]} == {"open"}
+        sides = by_task.sides(analysis, "sumo", "crashed", ("sumo", "risky"))
+        assert sides == {"less": ["highway", "u-turn"], "more": [], "open": []}
+
+    def test_claims_are_about_the_whole_plan(self, analysis: Analysis) -> None:
+        assert analysis.plan["version"] == 5 and set(analysis.claims["expected"]) == {5, 18}
+        assert len(SMALL.settings) == 18
+
+    def test_the_learner_is_checked(self, analysis: Analysis) -> None:
+        found = analysis.learner.groupby("check")["agents"].agg(list).to_dict()
+        assert found == {"change": [4, 4], "diverged": [8], "gates": [8], "last second": [2, 2]}
+        assert analysis.learner.set_index("check").loc["diverged", "passed"] is True
+
+    def test_its_report_says_how_far_it_is(self, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        from experiments import report
+
+        monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
+        page = report.write_report(home).read_text()
+        assert "Of the plan's stages a is complete" in page and "sumo-u-turn-6 is not complete" in page
+        assert "6, 9 and 12" in report.answer(home)

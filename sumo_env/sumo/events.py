@@ -6,21 +6,33 @@ every sub-step in which they do not pause (`EventKind`). Afterwards the vehicle 
 
 from __future__ import annotations
 
+from bisect import insort
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, NamedTuple
 
-from sumo_env.contacts.rectangles import CAR, State
+from sumo_env.contacts.rectangles import CAR, LENGTH, State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, Session
 from sumo_env.sumo.vehicle import IN_SUMO, Vehicle
-from sumo_env.traffic.risk import SWERVE_TIME, EventKind, RiskEvent, free_way, has_room
+from sumo_env.traffic.risk import (
+    HALF_CORRIDOR,
+    LOOKED_AT,
+    SWERVE_TIME,
+    EventKind,
+    RiskEvent,
+    free_way,
+    has_room,
+)
 from sumo_env.traffic.scenario import Scenario
 
 CUT_IN_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
 EARLY = 1e-9  # [s] rounding of sums of steps
+SQUARE = 50.0  # [m] side of the squares by which vehicles that are near are found
 
 
 def deviate(session: Session, vehicle: Vehicle, factors: Mapping[str, float]) -> None:
@@ -48,6 +60,7 @@ class Moment(NamedTuple):
         sumo: libsumo's functions of vehicles.
         dt: length of the sub-step [s].
         look: where all vehicles are, by their ids: x, y [m], speed [m/s], heading [rad].
+        near: likewise those within so many metres of the vehicle, itself and some further ones included.
     """
 
     event: RiskEvent
@@ -55,6 +68,7 @@ class Moment(NamedTuple):
     sumo: Any
     dt: float
     look: Callable[[], Mapping[str, State]]
+    near: Callable[[float], Mapping[str, State]]
 
 
 class Push(EventKind):
@@ -64,7 +78,7 @@ class Push(EventKind):
         """A surge pauses while somebody is near straight ahead; a brake never does."""
         if at.event.kind == "brake":
             return False
-        states = at.look()
+        states = at.near(at.event.way + HALF_CORRIDOR)
         return not free_way(states[at.event.vehicle], states.values(), at.event.way)
 
     def command(self, at: Moment) -> None:
@@ -102,6 +116,7 @@ class Events:
         self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
         self._running: dict[str, Running] = {}  # what commands a vehicle, but for cut-ins
         self._states: dict[str, State] = {}  # of all vehicles in this sub-step, once somebody has looked
+        self._squares: dict[tuple[float, float], list[str]] = {}  # of the plane, with the vehicles there
 
     def act(self, time: float, dt: float) -> None:
         """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
@@ -131,12 +146,22 @@ class Events:
 
     def _look(self) -> dict[str, State]:
         """Where all vehicles are."""
-        self._states = self._states or self._session.read(self._road)
+        if not self._states:
+            self._states, self._squares = self._session.read(self._road), defaultdict(list)
+            for name, (x, y, _, _) in self._states.items():
+                self._squares[x // SQUARE, y // SQUARE].append(name)
         return self._states
+
+    def _near(self, x: float, y: float, reach: float) -> dict[str, State]:
+        """Where the vehicles within `reach` [m] of a place are, and some further ones."""
+        states, squares = self._look(), self._squares
+        sides = [range(int((at - reach) // SQUARE), int((at + reach) // SQUARE) + 1) for at in (x, y)]
+        return {name: states[name] for square in product(*sides) for name in squares.get(square, ())}
 
     def add(self, events: Sequence[RiskEvent]) -> None:
         """Events of a vehicle that has come."""
-        self._coming = sorted((*self._coming, *events), key=lambda event: event.time, reverse=True)
+        for event in events:
+            insort(self._coming, event, key=lambda one: -one.time)
 
     def replace(self, events: Sequence[RiskEvent], now: float) -> None:
         """Go on with these events in place of those after `now` [s]."""
@@ -181,11 +206,13 @@ class Events:
         return self._session.may_change(lane, there, self._session.vehicle.getVehicleClass(name))
 
     def _has_room(self, name: str, lane: LaneIndex) -> bool:
-        states = self._look().copy()
-        x, y, speed, _ = states.pop(name)
+        x, y, speed, _ = self._look()[name]
         geometry = self._network.road.lane(lane)
         s, _ = geometry.local_coordinates(x, y)
         there = *geometry.position(s, 0.0), speed, geometry.heading_at(s)
+        longest = max((length for length, _ in self._session.sizes.values()), default=0.0)
+        states = self._near(*there[:2], LOOKED_AT + max(longest, LENGTH))
+        states.pop(name, None)
         # what is smaller than a car is given the room of one
         halves = [
             (max(length, CAR[0]), max(width, CAR[1]))
@@ -201,7 +228,12 @@ class Events:
     # -- all other kinds -----------------------------------------------------------------------------------
 
     def _at(self, event: RiskEvent, dt: float) -> Moment:
-        return Moment(event, self._road[event.vehicle], self._session.vehicle, dt, self._look)
+        vehicle = self._road[event.vehicle]
+
+        def near(reach: float) -> Mapping[str, State]:
+            return self._near(*self._look()[vehicle.name][:2], reach)
+
+        return Moment(event, vehicle, self._session.vehicle, dt, self._look, near)
 
     def _start(self, event: RiskEvent, time: float, dt: float) -> None:
         """An event begins; one of another kind on this vehicle ends."""

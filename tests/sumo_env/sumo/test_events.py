@@ -19,7 +19,7 @@ from sumo_env.sumo.events import Moment
 from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR, Session
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks.highway import Highway
-from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent
+from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent, free_way
 from sumo_env.traffic.scenario import Scenario
 from tests.processes import python
 from tests.sumo_env.scenarios import draw, with_leader
@@ -278,3 +278,25 @@ def test_all_surging_vehicles_look_at_the_others_once_in_a_sub_step(
             simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
             found.append(reads)
     assert found[1] == found[0] + 10 and found[2] == found[1]
+
+
+def test_surging_vehicles_look_at_those_near_them_alone(
+    simulator: SumoSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same events with four times the vehicles on the road: not four times as many looks at each."""
+    looked: list[int] = []
+
+    def counted(vehicle: State, others: Iterable[State], way: float) -> bool:
+        looked.append(len(states := list(others)))
+        return free_way(vehicle, states, way)
+
+    monkeypatch.setattr("sumo_env.sumo.events.free_way", counted)
+    found = []
+    for count in (40, 160):
+        scenario = draw("highway", vehicles_count=count)
+        events = (RiskEvent(0.0, spec.id, "surge", accel=1.0, duration=9.0) for spec in scenario.vehicles)
+        simulator.reset(replace(scenario, events=tuple(events)))
+        simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
+        found.append(np.mean(looked))
+        looked.clear()
+    assert found[1] < 1.5 * found[0] < 60.0

@@ -133,12 +133,23 @@ class Road:
             return self.lanes[index].distance(x, y, heading)
 
         if len(self.lanes) > FEW:
-            known, low, high = self._boxes
-            # the least distances that are possible; on a sine lane, whose s is measured along its axis, 7 % less
-            least = 0.9 * np.hypot(*np.maximum(0.0, np.maximum(low - (x, y), (x, y) - high)).T)
+            known, least = self._least_distances(x, y)
             enough = distance(known[least.argmin()])
             names = [known[place] for place in np.flatnonzero(least <= enough).tolist()]
         return min(names, key=distance)
+
+    def lanes_near(self, x: float, y: float, reach: float) -> list[LaneIndex]:
+        """The lanes of which a part may be within `reach` [m] of a place; all where there are few."""
+        if len(self.lanes) <= FEW:
+            return list(self.lanes)
+        known, least = self._least_distances(x, y)
+        return [known[place] for place in np.flatnonzero(least <= reach).tolist()]
+
+    def _least_distances(self, x: float, y: float) -> tuple[list[LaneIndex], NDArray[np.float64]]:
+        """The lanes, and the least distances that are possible [m]."""
+        known, low, high = self._boxes
+        # on a sine lane, whose s is measured along its axis, 7 % less
+        return known, 0.9 * np.hypot(*np.maximum(0.0, np.maximum(low - (x, y), (x, y) - high)).T)
 
     @cached_property
     def _boxes(self) -> tuple[list[LaneIndex], NDArray[np.float64], NDArray[np.float64]]:

@@ -301,14 +301,17 @@ class TimeToCollision:
         here = geometry.local_coordinates(float(scene.x[0]), float(scene.y[0]))[0]
         for row in range(1, len(scene)):
             x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
+            speed = float(scene.speed[row])
+            projected = speed * math.cos(heading - ego.heading)
+            distance = geometry.local_coordinates(x, y)[0] - here
+            fastest = max(abs(own - projected) for own in seen.target_speeds)
+            if abs(distance) - VEHICLE_LENGTH > (fastest + 1e-2) * self.horizon:
+                continue  # there is no contact before the horizon
             other_lane = road.closest_lane(x, y, heading)
             if not _connected(road, ego.lane, other_lane, ahead):
                 continue
             same_width = road.count(*other_lane[:2]) == lanes
             columns = [other_lane[2]] if same_width else list(range(lanes))
-            speed = float(scene.speed[row])
-            projected = speed * math.cos(heading - ego.heading)
-            distance = geometry.local_coordinates(x, y)[0] - here
             for k, own in enumerate(seen.target_speeds):
                 if own == speed:
                     continue

@@ -109,11 +109,11 @@ class OccupancyGrid:
     def _draw_road(self, layer: NDArray[np.float64], scene: Scene, road: Road) -> None:
         """Write 1 where points of a lane's middle are (``fill_road_layer_by_lanes``)."""
         x, y = float(scene.x[0]), float(scene.y[0])
-        points = []
-        for lane in road.lanes.values():
+        points: list[tuple[float, float]] = []
+        for lane in map(road.lane, road.lanes_near(x, y, math.hypot(*np.abs(self.size).max(axis=1)))):
             here = lane.local_coordinates(x, y)[0]
             places = np.arange(here - AROUND, here + AROUND, self.step.min()).clip(0.0, lane.length)
             points += [lane.position(s, 0.0) for s in places.tolist()]
-        first, second = self._cells(scene, *(np.array(points) - (x, y)).T)
+        first, second = self._cells(scene, *(np.array(points).reshape(-1, 2) - (x, y)).T)
         inside = (first >= 0) & (first < layer.shape[0]) & (second >= 0) & (second < layer.shape[1])
         layer[first[inside], second[inside]] = 1.0

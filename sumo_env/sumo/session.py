@@ -54,12 +54,14 @@ class Session:
         self._settings: Settings | None = None
         self._limits: dict[str, float] = {}  # of lanes [m/s]
         self._known: set[str] = set()  # vehicles whose size is known
+        self._listed: tuple[str, ...] = ()  # those on the road, when somebody asked last
         self._begin, self._steps = 0.0, 0  # SUMO's time when the network was loaded [s], and steps since then
 
     def load(self, settings: Settings) -> None:
         """Load everything anew, as in a new process: SUMO's clock, random numbers and traffic lights begin again."""
         self._known.clear()
         self.sizes.clear()
+        self._listed = ()
         self._settings = None  # until all is loaded
         values = {**self._engine.options, **settings.options}
         values["net-file"] = str(plain_path(Path(values["net-file"])))
@@ -94,6 +96,7 @@ class Session:
             return False
         self._known.clear()
         self.sizes.clear()
+        self._listed = ()
         for name in self.vehicle.getIDList():
             self.vehicle.remove(name)
         return True
@@ -244,8 +247,9 @@ class Session:
 
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""
-        names = self.vehicle.getIDList()
-        if self.changed or len(names) != len(self._known):
+        names = self.vehicle.getIDList()  # but for those that SUMO is teleporting
+        if names != self._listed:
+            self._listed = names
             self._meet(set(names))
         return names
 

@@ -20,6 +20,7 @@ from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO
 
 FASTEST = 200.0  # [m/s] no two vehicles close in faster
+NOWHERE = 1e8  # [m] so far away are those that SUMO is teleporting, which may be back at any time
 # Shapes of vehicles of several parts: SUMO's angle is that of the first one, and the others follow the lane.
 BENDING = {"bus/flexible", "rail", "rail/railcar", "rail/cargo", "truck/semitrailer", "truck/trailer"}
 
@@ -63,8 +64,7 @@ class Surroundings:
             self._lanes = {name: lane(name) for name in (self._name, *self.near)}
         # SUMO's speed is the commanded one, which covers the way of a sub-step
         self.ego = x, y, speed, heading
-        for name, further in distant:
-            due[name] = time + further / FASTEST
+        due |= {name: time + further / FASTEST for name, further in distant if further < NOWHERE}
 
     def time_to_collision(self, horizon: float) -> float:
         """Least time to collision of the ego with a vehicle that it can meet [s], inf without one within `horizon`."""

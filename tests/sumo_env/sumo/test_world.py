@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import libsumo
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.simulator import EgoCommand, SimulatorError
+from sumo_env.sumo.engine import Engine
+from sumo_env.sumo.session import Session
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario, Spawn
@@ -242,3 +245,14 @@ def test_the_doses_of_earlier_episodes_cost_nothing_and_change_nothing(simulator
     simulator.reset(draw("u-turn", risk=doses[-1]))
     for scene in scenes:
         assert_same_bits(scene, simulator.step({"ego": command}).scene)
+
+
+def test_sizes_are_known_where_one_comes_back_as_another_goes() -> None:
+    """As SUMO teleports vehicles: as many are on the road, and nobody has departed or arrived."""
+    listed: tuple[str, ...]
+    lengths = {"car": 5.0, "bus": 12.0, "lorry": 16.0}
+    vehicle = SimpleNamespace(getIDList=lambda: listed, getLength=lengths.get, getWidth=lambda _: 2.0)
+    session = Session(Engine(SimpleNamespace(vehicle=vehicle, simulation=None), list, "", {}, ()))
+    for listed in (("bus", "car"), ("car", "lorry"), ("bus", "car")):
+        assert session.vehicles() == listed
+        assert session.sizes == {name: (lengths[name], 2.0) for name in listed if name != "car"}

@@ -156,7 +156,9 @@ class Events:
         """Where the vehicles within `reach` [m] of a place are, and some further ones."""
         states, squares = self._look(), self._squares
         sides = [range(int((at - reach) // SQUARE), int((at + reach) // SQUARE) + 1) for at in (x, y)]
-        return {name: states[name] for square in product(*sides) for name in squares.get(square, ())}
+        return {
+            name: states[name] for pair in product(*sides) for name in squares.get((pair[0], pair[1]), ())
+        }
 
     def add(self, events: Sequence[RiskEvent]) -> None:
         """Events of a vehicle that has come."""

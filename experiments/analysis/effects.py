@@ -34,6 +34,10 @@ QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
 MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
 WORKING_COLUMNS = ["variance", "dof", "smallest"]
+TYPES = {
+    **dict.fromkeys(("estimate", "mean_arm", "mean_against", "variance", "dof"), "float64"),
+    **dict.fromkeys(("level", "seeds_arm", "seeds_against", "smallest"), "int64"),
+}
 
 
 def contrasts(
@@ -64,7 +68,10 @@ def contrasts(
         for outcome, term in questions
     ]
     columns = [*KEY, "estimate", *MEANS, *WORKING_COLUMNS, "saturated"]
-    frame = estimate.with_intervals(pd.DataFrame(rows, columns=columns))
+    frame = pd.DataFrame(rows, columns=columns).astype(
+        TYPES
+    )  # also without a row, or others would take its types
+    frame = estimate.with_intervals(frame)
     frame.loc[frame["saturated"].astype(bool), ESTIMATE[1:]] = [*[np.nan] * 5, SATURATED]
     return frame[[*KEY, *ESTIMATE, *MEANS, *WORKING_COLUMNS]]
 

@@ -18,6 +18,7 @@ from agents.files import DamagedFile
 
 USAGE = 2  # exit status: the call or the directory has to be put right first
 INTERRUPTED = 130  # exit status after Ctrl-C, as a shell has it
+FULL = {errno.ENOSPC, errno.EFBIG}
 LEAVE = 4.0  # [s] after a signal in which the process ends in any case
 
 
@@ -42,10 +43,10 @@ def in_words(errors: tuple[type[Exception], ...] = (ValueError,)) -> Iterator[No
 def disk_error(error: OSError, directory: object) -> UserError:
     """A failed write in words: which place, why, and what to do."""
     place = error.filename or directory
-    if error.errno == errno.ENOSPC:
+    if error.errno in FULL:
         return UserError(
-            f"no space left on the disk of {place}: make room and run the same command again, "
-            "nothing finished is lost"
+            f"no space left on the disk of {place}, or a limit on files is too low: make room and run the same "
+            "command again, nothing finished is lost"
         )
     reason = error.strerror or str(error)
     return UserError(
@@ -134,7 +135,7 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     except OSError as error:
-        if error.filename is None and error.errno != errno.ENOSPC:
+        if error.filename is None and error.errno not in FULL:
             raise
         print(f"error: {disk_error(error, 'the files to write')}", file=sys.stderr)
         status = USAGE

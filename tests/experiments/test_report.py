@@ -14,7 +14,7 @@ import pytest
 
 from experiments import report
 from experiments.analysis.analysis import DESCRIPTIVE, analyse, policies, stored
-from experiments.analysis.effects import means
+from experiments.analysis.effects import ESTIMATE, MEANS, WORKING_COLUMNS, means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting.by_task import both_arms
 from experiments.reporting.tables import difference, effect, main
@@ -194,6 +194,15 @@ def test_folders_side_by_side_are_compared_in_the_settings_of_all(tmp_path):
         [there] = elsewhere[elsewhere["term"] == term].to_dict("records")
         alone = means(main(both[both["term"] == term], "sumo")).query("scope == 'all tasks'")
         assert difference(there) in text and difference(alone.iloc[0]) in text
+
+
+def test_numbers_are_numbers_also_where_there_is_one_seed(tmp_path):
+    """Empty frames among those that are put together would make objects of them, whose 0 / 0 is an error."""
+    synthetic.write(tmp_path / "own", {"u-turn": (1,)}, seeds=1, tests=4)
+    synthetic.write(tmp_path / "other", {"u-turn": (1,)}, seeds=1, tests=4, backend="replica")
+    report.write_report(tmp_path / "own", tmp_path / "other")
+    effects = analyse(load(tmp_path / "own")).effects
+    assert {effects[name].dtype.kind for name in (*ESTIMATE[:-1], *MEANS, *WORKING_COLUMNS)} == set("fi")
 
 
 def test_the_severity_of_unseen_crashes_is_the_mean_over_crashes_alone():

@@ -26,7 +26,7 @@ from typing import Literal, Protocol
 from filelock import FileLock, Timeout
 
 from experiments.study.results.working import LOCK, LOG, PROGRESS, last_words
-from experiments.support.errors import UserError, disk_error
+from experiments.support.errors import FULL, UserError, disk_error
 from experiments.support.files import made, not_followed
 from sumo_env.simulator import SimulatorError
 
@@ -36,7 +36,7 @@ HUNG, SPOILT = 1, {"lost": 70, "failed": 71}
 POLL = 0.5  # [s] between two looks at the running tasks, and between two writes of progress.json
 RECHECK = 2.0  # [s] that a process waits for a task that another run computes
 # An error of these kinds awaits every task: the run stops instead of trying again.
-DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ELOOP}
+DISK = {*FULL, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ELOOP}
 
 # Errors that come from around a task. It computes the same in each try, so any other one would only come again.
 SURROUNDINGS = (OSError, EOFError, MemoryError, SimulatorError)

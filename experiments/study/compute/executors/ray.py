@@ -56,7 +56,7 @@ class RayExecutor(Executor):
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function in a process of the cluster."""
-        reference = self._call.remote(partial(function, *args, **kwargs))
+        reference = self._call.remote(os.getcwd(), partial(function, *args, **kwargs))
         self._references.add(reference)
         future: Future[Any] = reference.future()
         future.add_done_callback(lambda _: self._references.discard(reference))
@@ -69,5 +69,6 @@ class RayExecutor(Executor):
         ray.shutdown()
 
 
-def _call(function: Callable[[], Any]) -> Any:
+def _call(folder: str, function: Callable[[], Any]) -> Any:
+    os.chdir(folder)  # relative paths mean the same on all nodes
     return function()

@@ -31,13 +31,13 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 import pandas as pd
-import tyro
 
 from experiments.backends import make_env
 from experiments.study.design.grid import choose_tasks
 from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID
-from experiments.support.errors import run_command, writing
+from experiments.support.arguments import command
+from experiments.support.errors import writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
 from sumo_env.tasks import TASKS
@@ -254,13 +254,12 @@ def run(options: Options) -> dict[str, Any]:
     return results
 
 
-def main() -> int:
-    """The command line."""
-    options = tyro.cli(Options, description=__doc__)
+def main(options: Options) -> int:
+    """Do what the options ask for; returns the exit status."""
     with writing(options.out):
         run(options)
     return 0
 
 
 if __name__ == "__main__":
-    run_command(main)
+    command(main, Options, __doc__)

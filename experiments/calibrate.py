@@ -30,7 +30,6 @@ from typing import Any, Literal
 
 import optuna
 import pandas as pd
-import tyro
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
 from experiments.study.design import grid
@@ -38,7 +37,8 @@ from experiments.study.design.fingerprint import check_dynamics
 from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID, Between, Space, sheet
 from experiments.study.design.traffic import AT_A_DOSE
-from experiments.support.errors import run_command, writing
+from experiments.support.arguments import command
+from experiments.support.errors import writing
 from experiments.support.files import write_file, write_json
 from experiments.validation import episodes
 from experiments.validation.checks import MARGINS, REFERENCE, level_checks
@@ -235,13 +235,12 @@ def calibrate(options: Options) -> dict[str, Any]:
     return result
 
 
-def main() -> int:
-    """The command line."""
-    options = tyro.cli(Options, description=__doc__)
+def main(options: Options) -> int:
+    """Do what the options ask for; returns the exit status."""
     with writing(options.out):
         calibrate(options)
     return 0
 
 
 if __name__ == "__main__":
-    run_command(main, resumes=True)
+    command(main, Options, __doc__, resumes=True)

@@ -40,7 +40,8 @@ from experiments.study.design.options import Asked, argument
 from experiments.study.design.presets import cells_of
 from experiments.study.design.sheet import sheet
 from experiments.study.results.store import Results, Store, load
-from experiments.support.errors import UserError, run_command, unknown, writing
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, unknown, writing
 
 PLACES = {"two-way": (1,), "roundabout": (3,)}  # 5+2 and 15: where overtaking has to be learned, and entering
 OWN = {"control": "regular", "treatment": "risky"}  # the traffic that an arm is trained in
@@ -203,9 +204,4 @@ def choose(options: Options, arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    run_command(
-        lambda: choose(
-            tyro.cli(Options, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,)), sys.argv[1:]
-        ),
-        resumes=True,
-    )
+    command(lambda options: choose(options, sys.argv[1:]), Options, __doc__, resumes=True)

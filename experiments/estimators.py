@@ -36,7 +36,8 @@ from experiments.study.design import estimators
 from experiments.study.design.arms import scenario_seed
 from experiments.study.design.grid import env_config, level_names
 from experiments.study.design.traffic import TRAFFICS
-from experiments.support.errors import run_command, unknown
+from experiments.support.arguments import command
+from experiments.support.errors import unknown
 from sumo_env.tasks import TASKS
 
 DRIVERS = "control", "treatment", "mixed"
@@ -156,4 +157,4 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(Options, description=__doc__)))
+    command(main, Options, __doc__)

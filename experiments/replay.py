@@ -43,7 +43,8 @@ from experiments.study.design.grid import tested_on
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, ending, play_again
 from experiments.study.results.store import EPISODES, Store, find_cell
-from experiments.support.errors import UserError, run_command, unknown
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, unknown
 from experiments.support.films import Film, Pictures, check_film, save_gif, side_by_side
 
 
@@ -197,6 +198,4 @@ def _filmed(env: gym.Env[Any, Any], actions: Iterable[int]) -> Pictures:
 
 
 if __name__ == "__main__":
-    run_command(
-        lambda: replay(tyro.cli(Options, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,)))
-    )
+    command(replay, Options, __doc__)

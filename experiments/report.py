@@ -38,7 +38,8 @@ from experiments.reporting.page import page, render
 from experiments.study.compute.evaluate import COLUMNS
 from experiments.study.results import frozen
 from experiments.study.results.store import Store, load
-from experiments.support.errors import UserError, in_words, run_command, writing
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, in_words, writing
 from experiments.support.files import write_file
 
 REPORT, APPENDIX, TEXT, ANALYSIS = "report.html", "appendix.html", "report.md", "analysis.json"
@@ -139,9 +140,8 @@ def print_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
     print(f"report: {path}", flush=True)
 
 
-def main() -> int:
-    """The command line."""
-    options = tyro.cli(Options, description=__doc__)
+def main(options: Options) -> int:
+    """Do what the options ask for; returns the exit status."""
     if options.pack:
         names = Store(options.directory).pack()
         print(f"{len(names)} cells moved into {Store(options.directory).parts}, and read back")
@@ -152,4 +152,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    run_command(main)
+    command(main, Options, __doc__)

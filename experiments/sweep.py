@@ -41,11 +41,12 @@ from experiments.study.compute.run import compute_here
 from experiments.study.design.experiment import shard
 from experiments.study.design.fingerprint import check_dynamics, check_learners, known_dynamics
 from experiments.study.design.grid import Cell
-from experiments.study.design.options import Asked, argument, parsed
+from experiments.study.design.options import Asked, argument
 from experiments.study.design.presets import cells_of, complete
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
-from experiments.support.errors import UserError, run_command, unknown, writing
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, unknown, writing
 
 
 @dataclass(frozen=True)
@@ -172,10 +173,5 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     )
 
 
-def main() -> int:
-    """The command line."""
-    return sweep(parsed(Options, sys.argv[1:], __doc__), sys.argv[1:])
-
-
 if __name__ == "__main__":
-    run_command(main, resumes=True)
+    command(lambda options: sweep(options, sys.argv[1:]), Options, __doc__, resumes=True)

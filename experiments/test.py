@@ -28,7 +28,8 @@ from experiments.study.compute.evaluate import driving
 from experiments.study.design import grid
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.results.store import EPISODES, Store
-from experiments.support.errors import UserError, run_command
+from experiments.support.arguments import command
+from experiments.support.errors import UserError
 
 SHOWN = {"crash rate": "crash_rate", "return": "return", "speed [m/s]": "speed"}
 LEGEND = """\
@@ -108,4 +109,4 @@ def driven_in(key: Mapping[str, Any]) -> list[Any]:
 
 
 if __name__ == "__main__":
-    run_command(lambda: test(tyro.cli(Options, description=__doc__)))
+    command(test, Options, __doc__)

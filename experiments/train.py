@@ -28,11 +28,12 @@ from agents.files import atomic
 from experiments.study.compute.cells import compute
 from experiments.study.design.fingerprint import check_dynamics, check_learners
 from experiments.study.design.grid import Cell
-from experiments.study.design.options import Asked, parsed
+from experiments.study.design.options import Asked
 from experiments.study.design.presets import cells_of
 from experiments.study.results.store import Store
 from experiments.study.results.working import LOG
-from experiments.support.errors import UserError, run_command, writing
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, writing
 
 ONE = {
     "tasks": ("u-turn",),
@@ -91,10 +92,5 @@ def train(options: Options, arguments: list[str]) -> int:
     return 0
 
 
-def main() -> int:
-    """The command line."""
-    return train(parsed(Options, sys.argv[1:], __doc__), sys.argv[1:])
-
-
 if __name__ == "__main__":
-    run_command(main, resumes=True)
+    command(lambda options: train(options, sys.argv[1:]), Options, __doc__, resumes=True)

@@ -33,7 +33,8 @@ from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import STORED, versions
-from experiments.support.errors import UserError, run_command, writing
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, writing
 from experiments.support.files import read_json, write_file, write_json
 from experiments.support.provenance import provenance
 from experiments.validation import checks, episodes
@@ -141,9 +142,8 @@ def page(record: Mapping[str, Any]) -> str:
     )
 
 
-def main() -> int:
-    """The command line."""
-    options = tyro.cli(Options, description=__doc__)
+def main(options: Options) -> int:
+    """Do what the options ask for; returns the exit status."""
     if min(options.scenarios, options.workers, options.one_in) < 1:
         raise UserError("--scenarios, --workers and --one-in must be at least 1")
     with writing(options.out):
@@ -155,4 +155,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    run_command(main, resumes=True)
+    command(main, Options, __doc__, resumes=True)

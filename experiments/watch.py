@@ -33,7 +33,8 @@ from experiments.study.design.grid import tested_on
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.rerun import Case, ending, play_again
 from experiments.study.results.store import EPISODES, Store
-from experiments.support.errors import UserError, run_command
+from experiments.support.arguments import command
+from experiments.support.errors import UserError
 from experiments.support.films import Film, check_film, save_film, side_by_side
 
 NEARLY = "the first risky one with a near miss that the agent survives"
@@ -139,4 +140,4 @@ def watch(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    run_command(lambda: watch(tyro.cli(Options, description=__doc__)))
+    command(watch, Options, __doc__)

@@ -16,9 +16,9 @@ from experiments.backends import BACKENDS
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import shard
-from experiments.study.design.options import parsed, split_arguments
 from experiments.study.design.presets import PRESETS, complete
 from experiments.study.design.traffic import ALL
+from experiments.support.arguments import parsed, split_arguments
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of
 from sumo_env.tasks import TASKS

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any
 
 import tyro
 
@@ -19,9 +18,8 @@ def argument(metavar: str, default: str = "the preset's", help: str | None = Non
 
 TASK = argument("TASK ...", f"the {len(GRID)} of the study", f"Some of {', '.join(TASKS)}.")
 TaskNames = Annotated[tuple[str, ...], TASK]
-T = TypeVar("T")
 Names = tuple[str, ...] | None
-Flag = Annotated[bool | None, tyro.conf.arg(metavar="", help_behavior_hint="")]  # see `split_arguments`
+Flag = Annotated[bool | None, tyro.conf.arg(metavar="", help_behavior_hint="")]  # see `support.arguments`
 
 
 @dataclass(frozen=True)
@@ -70,31 +68,3 @@ class Asked:
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[Names, argument("FILE:MAKE ...", "none")] = None
     """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
-
-
-def parsed(kind: type[T], arguments: Iterable[str], about: str | None) -> T:
-    """The options of a command line. about: the command, for the help."""
-    words = split_arguments(arguments, kind)
-    return tyro.cli(kind, args=words, description=about, config=(tyro.conf.FlagCreatePairsOff,))
-
-
-def split_arguments(arguments: Iterable[str], kind: type[Any]) -> list[str]:
-    """`--tasks highway,u-turn`, `--policy A --policy B`, `--pairs` and `--no-pairs` as tyro takes them.
-
-    That is with spaces, each option once, and a flag with its value.
-    """
-    kinds = {f"--{name.replace('_', '-')}": get_args(hint) for name, hint in get_type_hints(kind).items()}
-    lists = {option for option, found in kinds.items() if any(get_origin(one) is tuple for one in found)}
-    values: dict[str, list[str]] = {}
-    name = ""
-    for word in arguments:
-        if word.startswith("--"):
-            name, *given = word.split("=", 1)
-            flag = f"--{name.removeprefix('--').removeprefix('no-')}"
-            if bool in kinds.get(flag, ()):
-                values[flag] = [str(flag == name)]
-                continue
-        else:
-            given = [word] if name not in lists or set("/=") & set(word) else word.split(",")
-        values.setdefault(name, []).extend(given)
-    return [word for name, given in values.items() for word in ([name] if name else []) + given]

@@ -326,7 +326,7 @@ class Results:
 
     episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
     gate_episodes: the same of the scenarios that the gates are judged on.
-    cells: the record of each cell by name. failed: what went wrong in cells that are not finished, by name.
+    cells: the record of each cell by name. failed: what went wrong in those of `expected` that are not finished.
     expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).
     damaged: why cells cannot be read, by name.
     """
@@ -356,6 +356,7 @@ def load(directory: Path) -> Results:
             cells[name], found[name] = store.record(name), store.tables(name)
         except DamagedCell as error:
             damaged[name] = str(error)
+    expected = tuple(name for sweep in store.sweeps() for name in sweep["cells"])
     if not cells:
         reason = f"{directory} holds no finished cell yet: run the sweep first"
         raise UserError(next(iter(damaged.values()), reason))
@@ -377,8 +378,9 @@ def load(directory: Path) -> Results:
         episodes=episodes,
         gate_episodes=gates,
         cells=cells,
-        failed=store.failures(),
-        expected=tuple(name for sweep in store.sweeps() for name in sweep["cells"]),
+        # a cell that failed, and that no sweep asks for any more, says nothing of this study
+        failed={name: why for name, why in store.failures().items() if name in expected},
+        expected=expected,
         damaged=damaged,
     )
 

@@ -25,7 +25,7 @@ from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.foreign import check_outputs
 from sumo_env.traffic.scenario import Scenario
-from sumo_env.traffic.sumo_files import is_output
+from sumo_env.traffic.sumo_files import is_output, temporary_folder
 
 
 class OwnSumo(ReadAsHighwayEnv):
@@ -79,7 +79,7 @@ class OwnSumo(ReadAsHighwayEnv):
         """
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before export()")
-        with tempfile.TemporaryDirectory(prefix="sumo_env-") as temporary:
+        with tempfile.TemporaryDirectory(prefix="sumo_env-", dir=temporary_folder()) as temporary:
             recorded = None
             try:
                 simulator: Simulator = copy.deepcopy(self._given) or SumoProcess()

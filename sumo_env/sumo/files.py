@@ -6,6 +6,7 @@ the ego has departed. What risk does, it does to vehicles as they come; at dose 
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +27,7 @@ from sumo_env.sumo.world import GONE, SumoSimulator
 from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events
 from sumo_env.traffic.scenario import Scenario, SumoTraffic
-from sumo_env.traffic.sumo_files import temporary_folder
+from sumo_env.traffic.sumo_files import own_folder
 
 # Classes whose drivers risk changes: those of roads, but bicycles.
 RISKY_CLASSES = {
@@ -38,7 +39,7 @@ RISKY_CLASSES = {
 class FileSimulator(SumoSimulator):
     """SUMO as a `Simulator` of scenarios with `SumoTraffic`."""
 
-    _scratch: tempfile.TemporaryDirectory[str] | None = None  # for outputs that nobody wants
+    _unwanted: Path | None = None  # folder of outputs that nobody wants
     _folder, _episodes = "", 0  # of outputs that somebody wants, and how many episodes are in it
 
     def _begin(self, scenario: Scenario) -> Scene:
@@ -66,7 +67,7 @@ class FileSimulator(SumoSimulator):
         self._departed = []
 
     def _episode_folder(self) -> Path:
-        """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted with the simulator."""
+        """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted by `close`."""
         for option in self._options:
             if option.startswith(f"{OUTPUT_DIR}="):
                 if not self._folder:
@@ -77,18 +78,15 @@ class FileSimulator(SumoSimulator):
                 folder = Path(self._folder) / f"episode-{self._episodes}"
                 folder.mkdir()
                 return folder
-        if self._scratch is None:
-            self._scratch = tempfile.TemporaryDirectory(prefix="sumo_env-", dir=temporary_folder())
-        folder = Path(self._scratch.name)
-        folder.mkdir(exist_ok=True)  # a forked process may have ended, and deleted it
-        return folder
+        self._unwanted = own_folder() / "outputs"
+        self._unwanted.mkdir(exist_ok=True)
+        return self._unwanted
 
     def close(self) -> None:
         """See `Simulator.close`."""
         super().close()
-        if self._scratch is not None:
-            self._scratch.cleanup()
-            self._scratch = None
+        if self._unwanted is not None:
+            shutil.rmtree(self._unwanted, ignore_errors=True)
 
     def _insert_ego(self, scenario: Scenario, traffic: SumoTraffic) -> None:
         """Drive until the ego has departed, at the end of the warm-up or later."""

@@ -19,6 +19,7 @@ from typing import Any
 
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.link import FORKS, connect, receive, send
+from sumo_env.traffic.sumo_files import delete_own_folder
 
 
 def make(name: str, options: tuple[str, ...]) -> Any:
@@ -73,6 +74,7 @@ def main() -> None:
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for copies; the system clears them away
     link, name, *options = sys.argv[1:]
     serve(connect(link), name, tuple(options))
+    delete_own_folder()
     sys.stdout.flush()
     os._exit(0)  # SUMO has nothing to save, and taking down its modules takes time
 

@@ -12,13 +12,20 @@ import re
 import shutil
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
 from sumo_env.config import ConfigError
 from sumo_env.traffic.attributes import schema
+
+try:
+    import fcntl
+except ImportError:  # as on Windows
+    fcntl: Any = None  # type: ignore[no-redef]
 
 # Short and old names of options that are read or left out here (`sumo --print-options true` lists all).
 SYNONYMS = {
@@ -76,6 +83,10 @@ LEFT_OUT = {
 }
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
 LOGS |= {"pedestrian.jupedsim.wkt", "pedestrian.jupedsim.py"}
+
+
+PREFIX = "sumo_env-"  # of temporary folders
+_folders: dict[int, Path] = {}  # by the process that has them
 
 
 def is_output(option: str) -> bool:
@@ -165,7 +176,8 @@ def plain_path(path: Path) -> Path:
 @cache
 def _linked(path: Path, process: int) -> Path:
     """A link to a file: of this process, because a copy of it may live longer."""
-    folder = _links(process)
+    folder = own_folder() / "links"
+    folder.mkdir(exist_ok=True)
     ending = re.search(r"(\.\w+)*$", path.name)
     assert ending is not None
     link = folder / f"{len(list(folder.iterdir()))}{ending[0]}"
@@ -197,17 +209,36 @@ def temporary_folder() -> str:
     )
 
 
-@cache
-def _links(process: int) -> Path:
-    """A folder that this process deletes at its end, and no copy of it does."""
-    folder = tempfile.mkdtemp(prefix="sumo_env-", dir=temporary_folder())
+def own_folder() -> Path:
+    """A folder for files of this process, which deletes it at its end; a copy of the process has its own.
 
-    def delete() -> None:
-        if os.getpid() == process:
-            shutil.rmtree(folder, ignore_errors=True)
+    That of a process that was killed is deleted by a later one, which finds its lock free.
+    """
+    if os.getpid() not in _folders:
+        parent = temporary_folder()
+        for lock in Path(parent).glob(f"{PREFIX}*/lock"):
+            with suppress(OSError), lock.open("rb") as left:
+                _hold(left.fileno())
+                shutil.rmtree(lock.parent, ignore_errors=True)
+        folder = _folders[os.getpid()] = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
+        with suppress(OSError):
+            _hold(os.open(folder / "new", os.O_CREAT | os.O_WRONLY))  # which stays open
+            (folder / "new").rename(folder / "lock")  # once it is not free
+        atexit.register(delete_own_folder)
+    return _folders[os.getpid()]
 
-    atexit.register(delete)
-    return Path(folder)
+
+def delete_own_folder() -> None:
+    """Delete the folder of this process, if it has one."""
+    if folder := _folders.pop(os.getpid(), None):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _hold(lock: int) -> None:
+    """Hold the lock of an open file until this process and all its copies have ended; OSError where that cannot be."""
+    if fcntl is None:
+        raise OSError("this system has no such locks")
+    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def seconds(option: str, text: str) -> float:

@@ -240,7 +240,7 @@ def test_detectors_write_where_all_outputs_go(tmp_path: Path) -> None:
         config, additional=more, ego_vehicle="ego", sumo_options=["--tripinfo-output", str(trips)]
     )
     seen(env, 0)
-    scratch = list(Path(tempfile.gettempdir()).glob("sumo_env-*/edges.xml"))
+    scratch = list(Path(tempfile.gettempdir()).glob("sumo_env-*/outputs/edges.xml"))
     assert scratch
     env.close()
     assert sorted(config.parent.iterdir()) == before and trips.read_text().startswith("<?xml")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from sumo_env.networks.mapping import network
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo import link, process
 from sumo_env.traffic import sumo_files
-from tests.processes import python
+from tests.processes import python, started
 from tests.sumo_env.sumo.fake import scenario
 
 # SUMO takes a comma as the end of a name, and ${HOME} as a variable; PYTHONPATH takes a colon as the end of a name.
@@ -61,9 +62,25 @@ def test_without_a_folder_for_links_the_folders_are_named(
     link = sumo_files.plain_path(tmp_path / "a,b" / "c")
     assert "," not in str(link) and link.parent.readlink() == tmp_path / "a,b"
     monkeypatch.setattr(sumo_files.os, "access", lambda *_: False)
-    sumo_files._links.cache_clear()
+    monkeypatch.setattr(sumo_files, "_folders", {})
     with pytest.raises(ConfigError, match=r"TMPDIR \(tried: .*/tmp"):
         sumo_files.plain_path(tmp_path / "d,e" / "f")
+
+
+def test_the_folder_of_a_killed_process_is_deleted_by_a_later_one(tmp_path: Path) -> None:
+    """That of a process that is alive is not."""
+    mine = "from sumo_env.traffic.sumo_files import own_folder\nprint(own_folder(), flush=True)\n"
+    waits = mine + "import time\ntime.sleep(60)\n"
+    alive, killed = (started("-c", waits, TMPDIR=str(tmp_path)) for _ in range(2))
+    with alive, killed:
+        folders = [Path(one.stdout.readline().strip()) for one in (alive, killed)]
+        killed.kill()
+        killed.wait()
+        assert all(folder.is_dir() for folder in folders)
+        python("-c", mine, TMPDIR=str(tmp_path))
+        assert list(tmp_path.iterdir()) == folders[:1]
+        alive.send_signal(signal.SIGINT)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> None:

@@ -129,7 +129,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     def _situation(self) -> Situation:
         seen = self.scene, self._road, self.ego_state, self._spec_of, self._row_order
-        return Situation(*seen, self.target_speeds, self._route)
+        return Situation(*seen, self.target_speeds, self._route, is_first=self.steps == 0)
 
     @property
     def time(self) -> float:

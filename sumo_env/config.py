@@ -77,9 +77,17 @@ OCCUPANCY_GRID: Config = {
     "as_image": False,
 }
 TIME_TO_COLLISION: Config = {"type": "TimeToCollision", "horizon": 10}
+GRAYSCALE: Config = {
+    "type": "GrayscaleObservation",
+    "observation_shape": [84, 84],  # [px]
+    "stack_size": 4,
+    "weights": [0.2989, 0.5870, 0.1140],  # of red, green and blue
+    "scaling": None,  # [px/m]
+    "centering_position": None,
+}
 LEADERS_FOLLOWERS: Config = {"type": "LeadersFollowers", "features": None, "normalize": True}
 TYPES: dict[str, tuple[Config, ...]] = {
-    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID, LEADERS_FOLLOWERS),
+    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID, GRAYSCALE, LEADERS_FOLLOWERS),
     "action": ({**DISCRETE_META_ACTION, "target_speeds": None}, CONTINUOUS_ACTION, DISCRETE_ACTION),
 }
 # Largest values. More vehicles, metres or seconds take all memory or all time, and SUMO's clock counts milliseconds.

@@ -55,8 +55,6 @@ REASONS: dict[str, str] = {
 }
 # Types of observation and action of highway-env that are not here.
 TYPES = {
-    "GrayscaleObservation": "gymnasium.wrappers.AddRenderObservation(env) observes the pictures of "
-    "gym.make(..., render_mode='rgb_array')",
     "LidarObservation": "a gymnasium.ObservationWrapper can read the places of all vehicles from env.unwrapped.scene",
     **dict.fromkeys(
         ("MultiAgentObservation", "MultiAgentAction"),

@@ -20,6 +20,7 @@ from sumo_env.actions import ActionType, ContinuousAction, action_type
 from sumo_env.config import MEASURED, Config, ConfigError
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
+from sumo_env.grayscale import Grayscale
 from sumo_env.hints import page
 from sumo_env.neighbours import LeadersFollowers
 from sumo_env.observation import Kinematics, TimeToCollision
@@ -29,7 +30,7 @@ from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.tasks.network import NetworkTask
 
-ObservationType = Kinematics | TimeToCollision | OccupancyGrid | LeadersFollowers
+ObservationType = Kinematics | TimeToCollision | OccupancyGrid | Grayscale | LeadersFollowers
 
 
 class Interface(NamedTuple):
@@ -68,6 +69,8 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         observation = Kinematics(given, road.count(*task.ego_road), on_its_way=of_network)
     elif given["type"] == "OccupancyGrid":
         observation = OccupancyGrid(given)
+    elif given["type"] == "GrayscaleObservation":
+        observation = Grayscale(given, config)
     elif given["type"] == "LeadersFollowers":
         observation = LeadersFollowers(given, on_its_way=of_network)
     elif not kind.names:

@@ -40,7 +40,10 @@ class TableForm(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """What an observation is made of; before_ego: others that are first in their cell of a grid, before the ego."""
+    """What an observation is made of.
+
+    before_ego: others that are first in their cell of a grid, before the ego; is_first: of an episode.
+    """
 
     scene: Scene
     road: Road
@@ -50,6 +53,7 @@ class Situation(NamedTuple):
     target_speeds: tuple[float, ...]  # that the ego can be commanded [m/s]
     route: tuple[str, ...]  # nodes of the ego's
     before_ego: int = 0
+    is_first: bool = False
 
 
 class Kinematics:

@@ -70,7 +70,7 @@ def test_imports_point_one_way() -> None:
 FLOORS = {
     "sumo_env": """
         networks < scene streams hints < config < contacts < traffic < tasks simulator < actions
-        < observation rendering export window < occupancy neighbours views < interface as_highway_env < sumo
+        < observation rendering export window < occupancy grayscale neighbours views < interface as_highway_env < sumo
         < own_sumo screen < driving < several < env < doctor
     """,
     "experiments": """

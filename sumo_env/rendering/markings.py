@@ -171,9 +171,8 @@ def _stop_line(lane: Lane, first: float = 0.0, last: float = 1.0) -> Points:
     """The stop line at the end of a lane, between two shares of its width, counted from the right."""
     right, left = lane.width * (0.5 - first), lane.width * (0.5 - last)
     front, back = lane.length, lane.length - STOP_LINE
-    return np.array(
-        [lane.position(*corner) for corner in ((back, right), (front, right), (front, left), (back, left))]
-    )
+    corners = (back, right), (back, left), (front, left), (front, right)
+    return np.array([lane.position(*corner) for corner in corners])
 
 
 def _beside(strip: Points, lateral: float) -> Points:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from sumo_env.networks.roads import Road
-from sumo_env.rendering.markings import Points, markings
+from sumo_env.rendering.markings import LINE_WIDTH, Points, markings
 from sumo_env.scene import CAR_SIZE, LETTERS, VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
 
 Colour = Any  # red, green and blue, or one grey
@@ -41,6 +41,16 @@ class Paint(NamedTuple):
     crashed: Colour
     lights: tuple[Colour, Colour, Colour, Colour]
     in_event: Colour = None
+
+    def in_grey(self, weights: NDArray[np.float64]) -> Paint:
+        """The greys of these colours, by weights of red, green and blue."""
+
+        def grey(colour: Colour) -> int:
+            return int(np.dot(colour, weights).clip(0, 255))
+
+        greys: dict[str, Any] = {name: grey(getattr(self, name)) for name in self._fields[:8]}
+        greys["lights"] = tuple(grey(light) for light in self.lights)
+        return self._replace(**greys, in_event=None)
 
 
 FILM = Paint(
@@ -112,10 +122,22 @@ def scenery(scene: Scene, road: Road, camera: Camera, paint: Paint, mode: str = 
     """The road and what is on it; mode: "RGB", or "L" where the colours are greys."""
     canvas = Image.new(mode, tuple(camera.size.tolist()), paint.ground)
     pen, scale = ImageDraw.Draw(canvas), camera.scale
-    ground, lights = _painted(road)
-    for layer, colour in zip(ground, (paint.line, paint.asphalt, paint.line), strict=True):
-        for polygon, _ in layer.within(camera):
-            pen.polygon(polygon, fill=colour)
+    rims, surfaces, lines, lights = _painted(road)
+    is_coarse = LINE_WIDTH * scale < 1.0  # then lines are as wide as a pixel, as in highway-env
+    for polygon, _ in (surfaces if is_coarse else rims).within(camera):
+        if is_coarse:
+            pen.line([*polygon, polygon[0]], fill=paint.line, width=3)
+        else:
+            pen.polygon(polygon, fill=paint.line)
+    for polygon, _ in surfaces.within(camera):
+        pen.polygon(polygon, fill=paint.asphalt)
+    for polygon, _ in lines.within(camera):
+        if is_coarse:
+            one, other = polygon[: len(polygon) // 2], polygon[::-1]
+            middle = [((a + c) // 2, (b + d) // 2) for (a, b), (c, d) in zip(one, other, strict=False)]
+            pen.line(middle, fill=paint.line)
+        else:
+            pen.polygon(polygon, fill=paint.line)
     for polygon, (signal, number) in lights.within(camera) if scene.signals else ():
         letter = scene.signals.get(signal, "")[number : number + 1]
         pen.polygon(polygon, fill=paint.lights[LETTERS.get(letter, -1)])
@@ -147,11 +169,11 @@ class _Layer:
 
 
 @lru_cache(maxsize=8)
-def _painted(road: Road) -> tuple[tuple[_Layer, ...], _Layer]:
-    """What is painted of a road, from below, and its lights, with the traffic light and the place of its letter."""
+def _painted(road: Road) -> tuple[_Layer, _Layer, _Layer, _Layer]:
+    """Rims, surfaces and lines of a road, and its lights, with the traffic light and the place of its letter."""
     paint = markings(road)
     lights = _Layer([light[0] for light in paint.lights], [light[1:] for light in paint.lights])
-    return (_Layer(paint.rims), _Layer(paint.surfaces), _Layer((*paint.dashes, *paint.lines))), lights
+    return _Layer(paint.rims), _Layer(paint.surfaces), _Layer((*paint.dashes, *paint.lines)), lights
 
 
 def _draw_vehicle(
@@ -165,7 +187,7 @@ def _draw_vehicle(
 ) -> None:
     """A vehicle of this length and width [m] around a point [px]: a car, stretched."""
     cos, sin = math.cos(heading) * scale, math.sin(heading) * scale
-    stretch = np.array(size) / CAR_SIZE
+    stretch = (np.array(size) - 1.0 / scale) / CAR_SIZE  # Pillow draws the pixels of both edges
     turn = stretch[:, None] * np.array([(cos, sin), (-sin, cos)])
 
     def place(part: Points) -> list[tuple[int, int]]:

@@ -83,7 +83,7 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", sees(TABLE, features_range={"x": 100}), "low, high"),
     ("sumo/highway", sees(TABLE, features_range={"vx": [0, 0]}), "low, high"),
     ("sumo/highway", sees(TABLE, vehicles_count=10**9), "from 1 to 10000"),
-    ("sumo/highway", sees({"type": "GrayscaleObservation"}), "AddRenderObservation"),
+    ("sumo/highway", sees({"type": "LidarObservation"}), "env.unwrapped.scene"),
     ("sumo/intersection", sees({"type": "LidarObservation"}), "is not here"),
     ("sumo/u-turn", sees(GRID, features=["speed"]), "'speed'"),
     ("sumo/u-turn", sees(GRID, features="vx"), "a list of names"),

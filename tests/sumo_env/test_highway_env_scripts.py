@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import AddRenderObservation, FlattenObservation, RecordVideo
+from gymnasium.wrappers import FlattenObservation, RecordVideo
 
 import sumo_env  # in place of highway_env
 from sumo_env.config import ConfigError, ignore
@@ -224,12 +224,3 @@ def test_an_attack_normalises_with_what_the_observation_type_has() -> None:
     assert x == pytest.approx(min(env.vehicle.position[0], high), abs=1e-3)
     with pytest.raises(AttributeError, match="'vehicle' can only be read"):
         env.vehicle = env.road.vehicles[1]
-
-
-def test_pictures_are_observed() -> None:
-    """In place of ``GrayscaleObservation``."""
-    config = {**FEW, "screen_width": 128, "screen_height": 64}
-    env = AddRenderObservation(gym.make("sumo/highway-v0", render_mode="rgb_array", config=config))
-    grey = gym.wrappers.GrayscaleObservation(env)
-    stacked = gym.wrappers.FrameStackObservation(grey, 4)
-    assert stacked.reset(seed=0)[0].shape == (4, 64, 128) and stacked.step(1)[0].dtype == np.uint8

@@ -12,6 +12,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +72,9 @@ def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
     """The card of one agent, see :func:`cards`. Raises ValueError when there is no such agent."""
     known, wanted = cards(file), f"{setting}/{arm}"
     if wanted not in known:
-        raise ValueError(f"There is no agent {wanted}. There are: {', '.join(known)}.")
+        near = get_close_matches(wanted, known, n=1, cutoff=0.5)
+        instead = f"Did you mean {near[0]}?" if near else f"There are: {', '.join(known)}."
+        raise ValueError(f"There is no agent {wanted}. {instead}")
     return known[wanted]
 
 

@@ -7,6 +7,7 @@ do not count: vehicles are placed faster than the limit and closer than they lik
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from collections.abc import Iterator, Mapping
@@ -130,4 +131,9 @@ def main(tasks: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or list(TASKS))
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}; by default all")
+    named = parser.parse_args().tasks or list(TASKS)
+    if unknown := set(named) - TASKS.keys():
+        parser.error(f"unknown task {sorted(unknown)[0]!r}: choose from {', '.join(TASKS)}")
+    main(named)

@@ -56,13 +56,13 @@ class Options:
     """DIR/cells/CELL[:TRAFFIC:SCENARIO]; the beginning of a cell's name is enough if no other begins so. Traffic is
     regular, risky or another that the cell was tested in, scenarios count from 0; by default the first crash."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
-    """File (or folder) to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory."""
+    """File (or folder) to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in DIR."""
     sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write a folder that sumo and sumo-gui open instead of a film (GIF): network, vehicles and the ego's way."""
     policy: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Drive the agent itself instead of the actions that it chose then."""
     avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Search for actions that would have avoided the crash; writes CASE-avoided.gif."""
+    """Search for actions that would have avoided the crash; writes DIR/CELL-TRAFFIC-SCENARIO-avoided.gif."""
     code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME", help_behavior_hint="")] = None
     """The cell's own policy, network or learner, for episodes that are stored without their actions; code is run only
     where you name it."""
@@ -117,7 +117,7 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Play an episode and write what was asked for; 1 if it came out differently."""
     film = None if options.sumo else Film(env)
     row = play_again(case, env, film.frame if film else None, options.policy)
-    path = options.out or Path(f"{case.name}.gif" if film else case.name)
+    path = options.out or case.store.directory / (f"{case.name}.gif" if film else case.name)
     if film:
         save_gif(film.pictures, path)
     else:
@@ -180,7 +180,7 @@ def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
         }
         films = [(title, _filmed(copies[begin], actions)) for title, actions in drives.items()]
     width, height = films[0][1][0].size
-    path = options.out or Path(case.name + "-avoided.gif")
+    path = options.out or case.store.directory / f"{case.name}-avoided.gif"
     save_gif(side_by_side(films, columns=1 if width > height else 2), path)
     print(f"written: {path}")
     return 0

@@ -95,7 +95,7 @@ MOST_VEHICLES = 10_000
 LARGEST = {
     "policy_frequency": 1000,
     "simulation_frequency": 1000,
-    "lanes_count": 50,
+    "lanes_count": 6,  # of highways that are built (`networks.plans.LANES_COUNTS`)
     "road_length": 100_000.0,
     "duration": 100_000.0,
     "vehicles_density": math.inf,
@@ -147,6 +147,11 @@ IGNORED = {
     "spawn_probability", "speed_limit", "state_noise", "steering_range", "success_goal_reward",
     "terminate_off_road", "vehicles_count", "vehicles_density",
 }  # fmt: skip
+# Arguments that some environments have and others have not, and which ones have them.
+ARGUMENTS = {
+    ("simulator", "sumo_options", "live", "output_dir"): "single environments on SUMO: gym.make('sumo/...')",
+    ("scenarios", "variant", "risk_law", "threads"): "highway-env's physics: 'replica/...'",
+}
 # Keys by what other tasks or earlier versions of highway-env call them.
 RENAMED = {
     "initial_spacing": "ego_spacing",
@@ -225,7 +230,9 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 ignore(f"the task {task!r}", str(key), _meant(str(key), known))
             elif key not in WITHOUT_EFFECT:
                 parts = [part for part, types in TYPES.items() if any(key in each for each in types)]
-                meant = f"it belongs in config[{parts[0]!r}]" if parts else _meant(str(key), known)
+                meant = (
+                    f"it belongs in config[{parts[0]!r}]" if parts else _meant(str(key), {**known, **FIXED})
+                )
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {meant}")
             config[key] = value
     frequency, given = "simulation_frequency", (overrides[-1] if overrides else None) or {}
@@ -243,10 +250,10 @@ def refuse_misplaced(keywords: Mapping[str, Any]) -> None:
     It begins as Python's own, which TorchRL looks for.
     """
     for key, value in keywords.items():
-        raise TypeError(
-            f"__init__() got an unexpected keyword argument {key!r}; a key of the configuration is set by "
-            f"gym.make(..., config={{{key!r}: {value!r}}})"
-        )
+        instead = f"a key of the configuration is set by gym.make(..., config={{{key!r}: {value!r}}})"
+        if place := next((place for names, place in ARGUMENTS.items() if key in names), ""):
+            instead = f"it is an argument of {place}"
+        raise TypeError(f"__init__() got an unexpected keyword argument {key!r}; {instead}")
 
 
 def pace(simulation_frequency: int, policy_frequency: int) -> float:

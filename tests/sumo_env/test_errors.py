@@ -51,7 +51,9 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", {"vehicles_count": "50"}, "a number"),
     ("sumo/highway", {"vehicles_count": 2.5}, "whole number"),
     ("sumo/highway", {"duration": 0}, "(0, 100000]"),
-    ("sumo/highway", {"lanes_count": 9}, "one of"),
+    ("sumo/highway", {"lanes_count": 7}, "(0, 6]"),
+    ("sumo/highway", {"lanes_count": 0}, "(0, 6]"),
+    ("sumo/highway", {"controlled_vehicle": 2}, "did you mean 'controlled_vehicles'"),
     ("sumo/highway", {"initial_lane_id": 4}, "'lanes_count'"),
     ("sumo/highway", {"risk": 1.5}, "must lie in"),
     ("sumo/highway", {"policy_frequency": 16}, "'simulation_frequency' (15)"),
@@ -233,6 +235,8 @@ replica, batch = partial(gym.make, "replica/roundabout-v0"), partial(gym.make_ve
 CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     *((partial(make, f"{room}/highway-v0", risk=1.0), TypeError, "config={'risk': 1.0}")
       for make in (gym.make, gym.make_vec) for room in ("sumo", "replica")),
+    (partial(gym.make_vec, "sumo/highway-v0", sumo_options=["-v"]), TypeError, "single environments"),
+    (partial(gym.make, "sumo/highway-v0", variant="v0"), TypeError, "'replica/...'"),
     (lambda: DrivingEnv("highway", render_mode="ansi"), ValueError, "rgb_array"),
     (lambda: DrivingEnv("highway").step(1), gym.error.ResetNeeded, "reset"),
     (lambda: DrivingEnv("highway").imagine(0), gym.error.ResetNeeded, "reset"),

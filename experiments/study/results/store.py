@@ -115,7 +115,7 @@ class Store:
         found = {name: record for name, record in self.records().items() if record["key"]["kind"] == "agent"}
         if not found:
             raise UserError(
-                f"there is no trained agent in {self.directory}: python experiments/train.py --out {self.directory}"
+                f"there is no trained agent in {self.directory}: python experiments/train.py --out results/mine"
             )
         return found
 

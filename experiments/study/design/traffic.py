@@ -14,6 +14,7 @@ from agents.streams import stream
 from experiments.support.errors import unknown
 from sumo_env.config import MEASURED
 from sumo_env.tasks import TASKS
+from sumo_env.traffic.risk import KINDS
 from sumo_env.traffic.scenario import Scenario
 
 REGULAR_DRIVERS = "regular"
@@ -88,9 +89,7 @@ ALL: dict[str, Traffic] = {
         Traffic("dose75", 0.75),
         Traffic("risky", 1.0),
         Traffic("mixed", 0.5, drawn=True),
-        _only("cut-in"),
-        _only("brake"),
-        _only("surge"),
+        *map(_only, KINDS),
         Traffic("only-parameters", 1.0, events=""),
         Traffic("krauss", 1.0, drivers=KRAUSS),
         Traffic("eidm", 1.0, drivers=EIDM),
@@ -124,7 +123,7 @@ def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
             return False
         if one.is_of_sumo:
             return backend == "sumo"
-        kinds = [one.events] if one.events else ["cut-in", "brake", "surge"]
+        kinds = [one.events] if one.events else KINDS
         return any(getattr(rates, kind.replace("-", "_")) > 0 for kind in kinds)
 
     return tuple(name for name in UNSEEN if differs(ALL[name]))

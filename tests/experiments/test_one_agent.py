@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -84,19 +83,6 @@ def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:
     assert film.size[0] > 2 * width
     assert film.n_frames > 5
     assert "Crashes in test scenarios by traffic: risk 0 " in said and "chosen by hand" in said
-
-
-def test_two_agents_are_filmed_in_a_risky_scenario_that_one_survives(tmp_path: Path, capsys) -> None:
-    """By default the published agents, control beside treatment; MP4 too."""
-    published = Path(watch.__file__).resolve().parents[1] / "results" / "standard"
-    film = tmp_path / "film.mp4"
-    assert watch.watch(watch.Options(published, agent="u-turn-3-treatment", out=film)) == 0
-    said = capsys.readouterr().out
-    assert "treatment: no crash" in said and "near miss that the agent survives" in said
-    assert re.search(r"at risk 1: control in \d+% of 100, treatment in \d+% of 100", said)
-    assert film.stat().st_size > 1000
-    with pytest.raises(UserError, match=r"ends in \.gif or \.mp4"):
-        watch.watch(watch.Options(published, agent="u-turn-3-treatment", out=tmp_path / "film.avi"))
 
 
 def test_the_scenario_is_chosen_by_a_rule_that_is_said() -> None:

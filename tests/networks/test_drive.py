@@ -17,7 +17,7 @@ STEP = 0.1  # [s]
 
 
 def _drive(task: str) -> list[dict]:
-    """Drive each route from each lane, one car at a time; in a process of its own, libsumo has one simulation each."""
+    """Drive each route from each lane, one car at a time; in another process, which has no other simulation."""
     import libsumo
 
     net = network(task)
@@ -73,10 +73,15 @@ def _drive(task: str) -> list[dict]:
 MISPLACED = {"highway": 1e-6, "two-way": 1e-6, "roundabout": 0.2, "intersection": 0.37, "u-turn": 0.17}
 
 
-@every_task
-def test_every_route_is_driven_where_highway_env_has_it_at_full_speed_to_its_end(task):
+@pytest.fixture(scope="module")
+def elsewhere():
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        drives = pool.apply(_drive, [task])
+        yield pool
+
+
+@every_task
+def test_every_route_is_driven_where_highway_env_has_it_at_full_speed_to_its_end(task, elsewhere):
+    drives = elsewhere.apply(_drive, [task])
     assert drives
     for record in drives:
         assert "vanished" not in record and record["edge"] == record["last"], record

@@ -17,6 +17,7 @@ from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.hand_over import HandOver
 from sumo_env.scene import MAX_SPEED
 from tests.sumo_env.plans import QUIET, build
+from tests.sumo_env.rollout import drive
 from tests.tasks import every_task
 
 TYPES = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
@@ -110,11 +111,7 @@ def test_sumo_has_the_pedals_for_an_agent_that_changes_lanes() -> None:
     crashed = []
     for longitudinal in ("sumo", False):
         env = DrivingEnv("highway", {"action": {**BOTH, "longitudinal": longitudinal, "lateral": True}})
-        env.reset(seed=1)
-        over = False
-        while not over:
-            *_, end, late, info = env.step(1)  # IDLE
-            over = end or late
+        *_, (*_, info) = drive(env, IDLE, seed=1)
         crashed.append(info["crashed"])
         env.close()
     assert crashed == [False, True]
@@ -227,9 +224,7 @@ def test_sumo_brings_the_ego_back_from_the_lane_of_oncoming_traffic() -> None:
         env.step(LEFT)
         assert env.scene.y[0] < 1.0
         env.hand_over()
-        over = late = False
-        while not (over or late):
-            _, _, over, late, info = env.step(IDLE)
+        *_, (*_, info) = drive(env, IDLE)
         assert info["ending"] == "time" and env.scene.y[0] == pytest.approx(4.0, abs=0.1)
     env.close()
 

@@ -32,7 +32,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_workers_that_hold_the_interpreter_end_with_their_parent(tmp_path: Path, number: int) -> None:
     script = tmp_path / "driver.py"
     script.write_text(HOLD)

@@ -24,35 +24,22 @@ def by_metric(table: pd.DataFrame, task: str = "u-turn", traffic: str = "regular
 
 
 @pytest.mark.parametrize(
-    ("difference", "low", "high", "verdict"),
+    ("difference", "low", "high", "verdict", "of_a_quick_run"),
     [
-        (0.5, 0.1, 0.9, "equivalent"),
-        (0.5, -0.5, 1.5, "within"),  # the margin is kept, but equivalence is not shown
-        (0.5, np.nan, np.nan, "within"),
-        (-1.5, -2.0, -1.0, "missed"),
-        (-1.01, -3.0, 1.0, "missed"),  # judged by the point estimate
+        (0.5, 0.1, 0.9, "equivalent", "equivalent"),
+        (0.5, -0.5, 1.5, "within", "within"),  # the margin is kept, but equivalence is not shown
+        (0.5, np.nan, np.nan, "within", "within"),
+        (-1.5, -2.0, -1.0, "missed", "not decided"),  # a part of the interval is within the margin
+        (-1.5, -2.0, -1.1, "missed", "missed"),
+        (1.5, 1.1, 2.0, "missed", "missed"),
+        (1.5, np.nan, np.nan, "missed", "not decided"),
     ],
 )
-def test_verdict(difference: float, low: float, high: float, verdict: str) -> None:
-    assert checks.verdict({"difference": difference, "low": low, "high": high, "n": 10}, MARGIN) == verdict
-
-
-@pytest.mark.parametrize(
-    ("difference", "low", "high", "verdict"),
-    [
-        (0.5, 0.1, 0.9, "equivalent"),
-        (0.5, -0.5, 1.5, "within"),
-        (-1.5, -2.0, -1.0, "not decided"),  # a part of the interval is within the margin
-        (-1.5, -2.0, -1.1, "missed"),
-        (1.5, 1.1, 2.0, "missed"),
-        (1.5, np.nan, np.nan, "not decided"),
-    ],
-)
-def test_a_quick_run_says_missed_only_of_a_whole_interval(
-    difference: float, low: float, high: float, verdict: str
-) -> None:
+def test_verdicts(difference: float, low: float, high: float, verdict: str, of_a_quick_run: str) -> None:
+    """By the point estimate, and in a quick run, which says "missed" of a whole interval alone."""
     found = {"difference": difference, "low": low, "high": high, "n": 10}
-    assert checks.verdict(found, MARGIN, by_interval=True) == verdict
+    assert checks.verdict(found, MARGIN) == verdict
+    assert checks.verdict(found, MARGIN, by_interval=True) == of_a_quick_run
 
 
 def test_noise_of_few_scenarios_misses_nothing_in_a_quick_run() -> None:

@@ -65,10 +65,6 @@ FLYOVER = (
 # Two roads drawn over each other that share no junction, and two that share both.
 PARALLEL = nodes("w 0 0 0, e 400 0 0, v 0 1 0, f 400 1 0"), edges("we", "vf")
 OPPOSITE = nodes("w 0 0 0, e 400 0 0"), edges('we shape="0,0 400,0"', 'ew shape="400,-2 0,-2"')
-ISLANDS = (  # at both ends between the directions
-    nodes("w 0 0 0, e 400 0 0"),
-    edges('we shape="0,0 400,0"', 'ew shape="400,12 300,12 200,-2 100,12 0,12"'),
-)
 BIDI = (
     nodes("w 0 0 0, e 400 0 0"),
     edges('we spreadType="center" bidi="ew"', 'ew spreadType="center" bidi="we"'),
@@ -209,20 +205,13 @@ def test_where_the_way_is_short_heights_decide(height: int, kind: str, tmp_path:
 # -- real crashes ------------------------------------------------------------------------------------------
 
 REAL: dict[str, tuple[Any, ...]] = {
-    "on one road": (FLAT, ["we"], Other(["we"], "we_0", 150.0, 0.0), "rear-end"),
     "on an edge that is longer than drawn": (STRETCHED, ["we"], Other(["we"], "we_0", 60.0, 0.0), "rear-end"),
-    "behind the top of a hill": (HILL, ["wm", "me"], Other(["me"], "me_0", 230.0, 0.0), "rear-end"),
     "on a road that crosses itself": (LOOP, ["ab"], Other(["ab"], "ab_0", 200.0, 120.0), "rear-end"),
     "where a ramp begins": (FLYOVER, ["am", "me"], Other(["me"], "me_0", 120.0, 0.0), "rear-end"),
     "edges between the same junctions": (OPPOSITE, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
-    "both directions, between two islands": (ISLANDS, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
     "one lane for both directions": (BIDI, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
     "across the end of an edge": (JUNCTION, ["wm", "me"], Other(["me"], "me_0", 206.0, 0.0), "rear-end"),
     "a ramp drawn over the road": (NARROW, ["wm", "me"], Other(["sm", "me"], "sm_0", 240.0, 0.0), "side"),
-    "a bus over edges of a metre": (
-        *(PIECES, ["wa", "ab", "bc", "ce"]),
-        *(Other(["ce"], "ce_0", 206.0, 0.0, length=BUS), "rear-end"),
-    ),
 }
 
 

@@ -6,6 +6,7 @@ import itertools
 import multiprocessing
 
 import numpy as np
+import pytest
 
 from sumo_env.contacts.rectangles import separation
 from sumo_env.networks.mapping import network
@@ -55,8 +56,9 @@ def cross() -> list[tuple[float, bool]]:
     return results
 
 
+@pytest.mark.long
 def test_sumo_reports_every_contact_at_a_junction() -> None:
-    """All but grazes of a few millimetres."""
+    """All but grazes of a few millimetres. Of this version of SUMO; every day test_recall.py counts what is noticed."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         results = pool.apply(cross)
     contacts = [(overlap, reported) for overlap, reported in results if overlap > 0.0]

@@ -19,6 +19,7 @@ from sumo_env.scene import ON_ITS_WAY, Scene
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, floating_car_data, needs_sumo
+from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.files import written
 from tests.sumo_env.scenario.test_oracle import fronts
 
@@ -284,9 +285,8 @@ def test_a_route_may_use_an_edge_twice(town: Path) -> None:
     action = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
     env = SumoDrivingEnv(town, ego_route=round_trip, config={"action": action, "duration": 300})
     env.reset(seed=3)
-    shares, driven, over = [], [env.scene.place.ahead[0]], False
-    while not over:
-        *_, over, _, info = env.step(0)
+    shares, driven = [], [env.scene.place.ahead[0]]
+    for *_, info in drive(env, 0):
         shares.append(info["rewards"]["progress_reward"])
         driven.append(env.scene.place.ahead[0])
     assert info["arrived"] and sum(shares) == pytest.approx(1.0)

@@ -9,7 +9,6 @@ import subprocess
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ import pytest
 from sumo_env.env import SumoDrivingEnv
 from tests.processes import python
 from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
+from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.test_oracle import differences, driven
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
@@ -254,11 +254,7 @@ def test_a_train_on_rails_alone(tmp_path: Path) -> None:
     assert_drives(config, plain(config))
     for origin in ({"ego_vehicle": "ego"}, {"ego_route": ["ab", "bc"], "ego_type": "train"}):
         env = SumoDrivingEnv(config, **origin, config={"duration": 99})
-        env.reset(seed=0)
-        over, info = False, dict[str, Any]()
-        while not over:
-            _, _, terminated, truncated, info = env.step(3)
-            over = terminated or truncated
+        *_, (*_, info) = drive(env, 3, seed=0)
         env.close()
         assert info["rewards"]["arrived_reward"] == 1.0
 

@@ -9,6 +9,7 @@ import pytest
 
 from sumo_env.env import SumoDrivingEnv
 from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
+from tests.sumo_env.rollout import drive
 
 pytestmark = needs_sumo
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
@@ -179,9 +180,8 @@ def test_an_ego_that_overtakes_on_the_lane_of_oncoming_traffic_makes_progress(tm
     env = SumoDrivingEnv(net, file, ego_vehicle="ego", config={"duration": 90, "action": by_sumo})
     env.reset(seed=0)
     env.sumo.vehicle.setMaxSpeed("slow", 4.0)
-    shares, edges, over = [], set(), False
-    while not over:
-        *_, over, _, info = env.step(0)
+    shares, edges = [], set()
+    for *_, info in drive(env, 0):
         shares.append(info["rewards"]["progress_reward"])
         edges.add(env.scene.place.lane[0])
     assert info["arrived"] and "ba:from" in edges
@@ -260,10 +260,7 @@ def test_a_vehicle_of_the_files_arrives_where_they_say(tmp_path: Path, place: st
     net = build(tmp_path, ("a 0 0, b 500 0", "ab a b 1 20"))
     routes = f'<vehicle id="ego" depart="0" departPos="0" arrivalPos="{place}"><route edges="ab"/></vehicle>'
     env = SumoDrivingEnv(net, route_file(tmp_path, routes), ego_vehicle="ego", config={"duration": 60})
-    env.reset(seed=0)
-    driven, over = 0.0, False
-    while not over:
-        *_, over, _, info = env.step(FASTER)
-        driven += info["distance"]
-    assert info["ending"] == "arrived" and driven == pytest.approx(length, abs=5.0)
+    infos = [info for *_, info in drive(env, FASTER, seed=0)]
+    assert infos[-1]["ending"] == "arrived"
+    assert sum(info["distance"] for info in infos) == pytest.approx(length, abs=5.0)
     env.close()

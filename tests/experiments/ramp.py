@@ -10,57 +10,22 @@ import sys
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
 import sumo_env
 from experiments import backends
 from experiments.study.design.sheet import SHEETS, Sheet
-from sumo_env.config import DISCRETE_META_ACTION, Config
-from sumo_env.networks.lanes import StraightLane
-from sumo_env.networks.roads import Road
+from sumo_env.config import Config
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane
-from sumo_env.traffic.scenario import EGO, VehicleSpec
+from sumo_env.tasks.highway import Highway
 from tests.experiments.fake_env import FakeEnv
 
 
-class OnRamp(Task):
-    """Merge from a ramp into the traffic of a main road."""
+class OnRamp(Highway):
+    """Another name, other levels and an episode of its own; its simulator is the fake environment."""
 
     name = "on-ramp"
-    ego_road = ("r", "m")
-    defaults: Config = {  # noqa: RUF012
-        "observation": {"type": "Kinematics"},
-        "action": {**DISCRETE_META_ACTION, "target_speeds": [10, 20, 30]},
-        "vehicles_count": 3,
-        "duration": 10,
-        "collision_reward": -1.0,
-        "merged_reward": 0.5,
-    }
+    defaults: Config = {**Highway.defaults, "vehicles_count": 3, "duration": 10}  # noqa: RUF012
     levels = {str(count): {"vehicles_count": count} for count in (3, 6)}  # noqa: RUF012
-
-    def road(self, config: Config) -> Road:
-        ramp, main = StraightLane((0.0, 8.0), (200.0, 4.0)), StraightLane((0.0, 4.0), (200.0, 4.0))
-        onward = StraightLane((200.0, 4.0), (400.0, 4.0))
-        return Road("on-ramp", {("r", "m", 0): ramp, ("a", "m", 0): main, ("m", "b", 0): onward})
-
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
-        return make_on_lane(road, EGO, ("r", "m", 0), 0.0, 20.0, ego_driver(self))
-
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
-        places = 40.0 * np.arange(config["vehicles_count"])
-        return [
-            make_on_lane(road, f"v{k}", ("a", "m", 0), float(s), 20.0, drivers.next())
-            for k, s in enumerate(places)
-        ]
-
-    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
-        return {"collision_reward": float(ego.crashed), "merged_reward": float(ego.lane[0] == "m")}
-
-    def terminated(self, ego: EgoState, config: Config) -> bool:
-        return ego.crashed or (ego.lane[0] == "m" and ego.s > 100.0)
 
 
 def simulator(config: Any = None, render_mode: str | None = None) -> FakeEnv:

@@ -10,7 +10,6 @@ import pytest
 
 from experiments import calibrate
 from experiments.calibrate import Options
-from experiments.study.compute import run
 from experiments.study.design.sheet import SHEETS, SWITCH, Between, Space
 from experiments.validation.checks import REFERENCE
 from experiments.validation.episodes import Engine
@@ -86,15 +85,7 @@ def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:
 
 
 @pytest.mark.slow
-def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path, monkeypatch) -> None:
-    def here(tasks, executor, *_) -> dict[str, str]:
-        """As the runner, without its processes, which take longer to start than to drive so little."""
-        executor.shutdown()
-        for task in tasks:
-            run.compute_here(task)
-        return {}
-
-    monkeypatch.setattr(run, "run", here)
+def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path, monkeypatch, here) -> None:
     monkeypatch.setattr(calibrate, "HIGHWAY_ENV", Engine(REFERENCE, "sumo"))  # both sides are quick
     options = Options(tmp_path, tasks=("u-turn",), trials=2, scenarios=2, workers=1)
     result = calibrate.calibrate(options)

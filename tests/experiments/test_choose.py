@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import pandas as pd
 import pytest
 
 from experiments.choose import CANDIDATES, PLACES, Options, cells, choose, rank, together
+from experiments.study.compute.cells import compute
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.presets import PRESETS
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
+from tests.experiments.fake_env import make_env
 
 
 def test_no_report_uses_its_training_seeds_or_scenarios() -> None:
@@ -88,9 +91,10 @@ def test_agents_of_a_seed_are_tested_together_by_every_rule(tmp_path, monkeypatc
     assert len(written) == 2 * 3 + 3 * len(PAIRS) + 6
 
 
-@pytest.mark.slow
-def test_two_candidates_are_computed_and_ranked(tmp_path, capsys, monkeypatch) -> None:
+def test_two_candidates_are_computed_and_ranked(tmp_path, capsys, monkeypatch, here) -> None:
     monkeypatch.setitem(PRESETS, "choice", replace(PRESETS["choice"], seeds=1, gate_episodes=2))
+    monkeypatch.setattr("experiments.choose.compute", partial(compute, make_env=make_env))
+    monkeypatch.setattr("experiments.choose.check_dynamics", set)
     options = Options(tmp_path, candidates=("tuned", "short-sighted"), updates=20, episodes=2, workers=2)
     assert choose(options, []) == 0
     printed = capsys.readouterr().out

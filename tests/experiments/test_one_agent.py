@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,11 +25,10 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick_as_smoke() -> Iterator[None]:
+def quick_as_smoke(all_here: None) -> Iterator[None]:
     """One agent is trained by the preset "quick", here by as little as "smoke" asks for, and in this process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
-        patch.setattr("experiments.study.compute.cells.open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
         yield
 
 

@@ -11,7 +11,6 @@ import shutil
 import signal
 import time
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -43,14 +42,6 @@ def run(directory: Path, **options) -> int:
     return sweep(
         asked, make_env=make_env, check=lambda _: None
     )  # the fake environment behaves as no simulator does
-
-
-@pytest.fixture
-def here(monkeypatch):
-    """For tests that are not about processes."""
-    monkeypatch.setattr(
-        "experiments.study.compute.cells.open_executor", lambda *_: (ThreadPoolExecutor(1), 1)
-    )
 
 
 @pytest.fixture(scope="module")

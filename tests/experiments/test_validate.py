@@ -20,7 +20,7 @@ from tests.experiments.validation.tables import episodes
 
 
 @pytest.mark.slow
-def test_the_command_writes_what_it_found(tmp_path: Path) -> None:
+def test_the_command_writes_what_it_found(tmp_path: Path, here: None) -> None:
     few: dict[str, Any] = {"tasks": ("u-turn",), "levels": (1,), "scenarios": 3}
     record = validate(Options(tmp_path, quick=True, **few, workers=1))
     assert json.loads((tmp_path / "validation.json").read_text()) == record

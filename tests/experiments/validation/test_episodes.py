@@ -115,7 +115,7 @@ def test_a_part_that_is_damaged_is_named_and_driven_again(
 
 
 @pytest.mark.slow
-def test_what_is_there_is_not_driven_again(tmp_path: Path) -> None:
+def test_what_is_there_is_not_driven_again(tmp_path: Path, here: None) -> None:
     planned = plan([Engine("sumo", "sumo", egos=("idle",))], {"u-turn": [1]}, ["regular"], range(4), 2)
     run(planned[:1], tmp_path, 1)
     written = (tmp_path / planned[0].name).stat().st_mtime_ns

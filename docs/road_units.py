@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from agents.rules import make_policy
 from experiments.study.design.arms import scenario_seed
+from experiments.study.design.sheet import GRID
 from experiments.validation.episodes import traffic_near
 from sumo_env.contacts.measures import headways
 from sumo_env.env import DrivingEnv
@@ -132,8 +133,10 @@ def main(tasks: list[str]) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}; by default all")
-    named = parser.parse_args().tasks or list(TASKS)
+    parser.add_argument(
+        "tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}; by default the study's"
+    )
+    named = parser.parse_args().tasks or list(GRID)
     if unknown := set(named) - TASKS.keys():
         parser.error(f"unknown task {sorted(unknown)[0]!r}: choose from {', '.join(TASKS)}")
     main(named)

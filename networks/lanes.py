@@ -35,6 +35,7 @@ class Lane:
     width: float = field(default=WIDTH, kw_only=True)  # [m]
     speed_limit: float = field(default=DEFAULT_SPEED_LIMIT, kw_only=True)  # [m/s]
     priority: int = field(default=0, kw_only=True)  # the larger one has right of way
+    forbidden: bool = field(default=False, kw_only=True)  # nobody may change to it
     length: float = field(default=0.0, init=False)  # [m]
 
     def position(self, s: float, lat: float) -> Point:
@@ -63,7 +64,7 @@ class Lane:
     def is_reachable_from(self, x: float, y: float) -> bool:
         """Whether a vehicle at this position may steer for the lane: within two widths, not before its start."""
         s, lat = self.local_coordinates(x, y)
-        return abs(lat) <= 2 * self.width and 0 <= s < self.length + VEHICLE_LENGTH
+        return not self.forbidden and abs(lat) <= 2 * self.width and 0 <= s < self.length + VEHICLE_LENGTH
 
     def after_end(self, x: float, y: float) -> bool:
         """Whether a vehicle at this position is to take its next lane (half a vehicle before the end of this one)."""

@@ -22,7 +22,10 @@ from sumo_env.networks.meeting import Meeting
 from sumo_env.networks.roads import LaneIndex, Road
 
 FOLDER = Path(__file__).resolve().parent
-ASIDE = 0.5  # [m] that a lane of SUMO's network may be beside highway-env's
+ASIDE, SHORT = (
+    0.5,
+    1.5,
+)  # [m] that a lane of SUMO's network may be beside highway-env's, and shorter at either end
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +212,7 @@ def _check(road: Road, index: LaneIndex, found: SumoLane) -> None:
     (first, aside), (last, beside) = sorted(
         lane.local_coordinates(*point) for point in (found.shape[0], found.shape[-1])
     )
-    if max(abs(aside), abs(beside)) > ASIDE or first > ASIDE or last < lane.length - ASIDE:
+    if max(abs(aside), abs(beside)) > ASIDE or first > SHORT or last < lane.length - SHORT:
         raise ValueError(
             f"SUMO's lane {found.id!r} does not lie on lane {index} of the road {road.name!r}{_how(road)}: it goes "
             f"from s = {first:.1f} to {last:.1f} m of {lane.length:.1f} m, {aside:.1f} and {beside:.1f} m beside it"

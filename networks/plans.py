@@ -23,10 +23,14 @@ Line = tuple[Point, ...]
 GAP = 0.12  # [m] that a plain junction takes out of the road; SUMO needs 0.1. See docs/developers/roads.md, joints
 ARC_STEP = math.radians(1.0)  # chords of 1 degree stay within 1 mm of a circle of 24 m
 SINE_STEP = 0.5  # [m]
+OVERHANG = 1.1  # [m] that the merge's third lane is longer, so that the obstacle at its end stands on it
+NOBODY = "custom1"  # SUMO has no word for it: a class of which there are no vehicles
 LANES_COUNTS = (1, 2, 3, 4, 5, 6)  # highways that are built
 
 
-Item = dict[str, Any]  # attributes of an XML element, and elements inside it; lengths in m, lines as points
+Item = dict[
+    str, Any
+]  # attributes of an XML element, and lists of elements inside it; lengths in m, lines as points
 
 
 @dataclass(frozen=True)
@@ -60,11 +64,11 @@ class Plan:
 
 
 def _add(parent: ElementTree.Element, tag: str, item: Item) -> None:
-    own = {key: _text(value) for key, value in item.items() if value != () and not isinstance(value, dict)}
+    own = {key: _text(value) for key, value in item.items() if value != () and not isinstance(value, list)}
     element = ElementTree.SubElement(parent, tag, own)
     for key, value in item.items():
-        if isinstance(value, dict):
-            _add(element, key, value)
+        for inner in value if isinstance(value, list) else ():
+            _add(element, key, inner)
 
 
 def _text(value: str | int | float | Line) -> str:
@@ -122,7 +126,13 @@ def _edge(road: Road, start: str, end: str, before: float, after: float, priorit
     middle = WIDTH * (n - 1) / 2
     scale = _scale(road, (start, end, 0))  # trimmed by angle, so that the lanes of a bend end side by side
     shape = sample(left, -before * scale, left.length + after * scale, middle)
-    return _way(start, end, n, shape, left.speed_limit, priority)
+    way = _way(start, end, n, shape, left.speed_limit, priority)
+    closed: list[Item] = []
+    for i in range(n):
+        for side, key in ((-1, "changeLeft"), (1, "changeRight")):
+            if 0 <= i + side < n and road.beside((start, end, i), side) is None:
+                closed.append({"index": str(n - 1 - i), key: NOBODY})
+    return {**way, "lane": closed} if closed else way
 
 
 def bow(start: Point, direction: float, end: Point, end_direction: float) -> Line:
@@ -171,8 +181,8 @@ def two_way() -> Plan:
     ends = {"a": (-700.0, WIDTH / 2), "b": (1500.0, WIDTH / 2)}
     own = _way("a", "b", 1, ((-700.0, WIDTH), (1500.0, WIDTH)), 20.0)
     oncoming = _way("b", "a", 1, ((1500.0, 0.0), (-700.0, 0.0)), 20.0)
-    own["lane"] = {"index": "0", "neigh": {"lane": "b-a_0"}}
-    oncoming["lane"] = {"index": "0", "neigh": {"lane": "a-b_0"}}
+    own["lane"] = [{"index": "0", "neigh": [{"lane": "b-a_0"}]}]
+    oncoming["lane"] = [{"index": "0", "neigh": [{"lane": "a-b_0"}]}]
     nodes = tuple(_place(name, at, "dead_end") for name, at in ends.items())
     return Plan("two_way/two_way", road, nodes, (own, oncoming))
 
@@ -294,6 +304,41 @@ def intersection() -> Plan:
     return Plan("intersection/intersection", road, tuple(nodes), tuple(edges), tuple(joints))
 
 
+def merge() -> Plan:
+    """Two lanes, and a ramp that becomes a third one, which ends; 100 m longer before and 400 m longer behind."""
+    road = roads.merge()
+    g, o = GAP / 2, OVERHANG
+    edges = (
+        _edge(road, "a", "b", 100.0, -g),
+        _edge(road, "b", "c", -g, o - g),
+        _edge(road, "c", "d", -o - g, 400.0),
+        _edge(road, "j", "k", 100.0, -g),
+        _edge(road, "k", "b", -g, -g),
+    )
+
+    def across(name: str, s: float) -> Item:
+        """A short junction across the three lanes."""
+        (left_in, right_in), (left_out, right_out) = (_across(road, "b", "c", s + by) for by in (-g, g))
+        at = road.lane(("b", "c", 1)).position(s, 0.0)
+        return _place(name, at, shape=(left_in, left_out, right_out, right_in))
+
+    nodes = (
+        _place("a", edges[0]["shape"][0], "dead_end"),
+        _place("j", edges[3]["shape"][0], "dead_end"),
+        _node(road, ("j", "k")),
+        across("b", 0.0),
+        across("c", road.lane(("b", "c", 0)).length + o),
+        _place("d", edges[2]["shape"][-1], "dead_end"),
+    )
+    joints = [
+        *(_join(road, ("a", "b", i), ("b", "c", i), (g, g)) for i in range(2)),
+        *(_join(road, ("b", "c", i), ("c", "d", i), (g - o, g + o)) for i in range(2)),
+        _join(road, ("j", "k", 0), ("k", "b", 0), (g, g)),
+        _join(road, ("k", "b", 0), ("b", "c", 2), (g, g)),
+    ]
+    return Plan("merge/merge", road, nodes, edges, tuple(joints))
+
+
 def all_plans() -> tuple[Plan, ...]:
     """Every network that is shipped; the highway once for each number of lanes."""
-    return (*map(highway, LANES_COUNTS), two_way(), roundabout(), intersection(), u_turn())
+    return (*map(highway, LANES_COUNTS), two_way(), roundabout(), intersection(), u_turn(), merge())

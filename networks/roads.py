@@ -33,6 +33,7 @@ class Road:
     `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `arguments` are
     those of `road`, beside the name. Roads of the same value are equal.
 
+    obstacles: centres of boxes of 2 m by 2 m that stand on the road [m], parallel to x.
     ends: nodes at which vehicles leave the road.
     net_file: its SUMO network, a file of this folder or a path of a user's own (`networks.mapping`).
     oncoming: whether the lane to the left is that of oncoming traffic.
@@ -47,6 +48,7 @@ class Road:
     name: str
     lanes: Mapping[LaneIndex, Lane]
     arguments: tuple[tuple[str, float], ...] = ()
+    obstacles: tuple[Point, ...] = ()
     ends: tuple[str, ...] = ()
     net_file: str = ""
     oncoming: bool = False
@@ -79,6 +81,14 @@ class Road:
     def count(self, start: str, end: str) -> int:
         """Number of parallel lanes from node `start` to node `end`; KeyError if they are not joined."""
         return self._counts[start, end]
+
+    def beside(self, index: LaneIndex, side: int) -> LaneIndex | None:
+        """The lane to the left (-1) or right (+1) that may be changed to; None without one.
+
+        Whoever changes lanes asks here: the ego, drivers of the replica, cut-ins; SUMO's networks are built by it.
+        """
+        other = (*index[:2], index[2] + side)
+        return other if other in self.lanes and not self.lanes[other].forbidden else None
 
     def side_lanes(self, index: LaneIndex) -> tuple[LaneIndex, ...]:
         """The lanes next to this one on the same road, left one first."""
@@ -319,12 +329,48 @@ def u_turn() -> Road:
     return Road("u-turn", lanes, ends=("d",), net_file="u_turn/u_turn.net.xml", joined=True)
 
 
+@lru_cache(maxsize=8)
+def merge() -> Road:
+    """Two lanes to the east, 460 m, and from 230 to 310 m a third one right of them, which a ramp leads to.
+
+    Nobody may change to the ramp's lanes, and an obstacle stands at the end of the third lane.
+    """
+    start, sine, end, last = (
+        150.0,
+        230.0,
+        310.0,
+        460.0,
+    )  # [m] along x: of the sine, of the third lane, of the road
+    amplitude, y = 3.25, 2 * WIDTH  # [m] of the sine; of the third lane
+    curve: dict[str, Any] = {
+        "amplitude": amplitude,
+        "pulsation": math.pi / (sine - start),
+        "phase": math.pi / 2,
+    }
+    lanes: dict[LaneIndex, Lane] = {}
+    for i in range(2):
+        for road, (x, to) in {
+            ("a", "b"): (0.0, sine),
+            ("b", "c"): (sine, end),
+            ("c", "d"): (end, last),
+        }.items():
+            lanes[*road, i] = StraightLane((x, WIDTH * i), (to, WIDTH * i))
+    far = y + 2 * amplitude
+    lanes["j", "k", 0] = StraightLane((0.0, far), (start, far), forbidden=True)
+    lanes["k", "b", 0] = SineLane((start, y + amplitude), (sine, y + amplitude), **curve, forbidden=True)
+    lanes["b", "c", 2] = StraightLane((sine, y), (end, y), forbidden=True)
+    return Road(
+        "merge", lanes, obstacles=((end, y),), ends=("d",), net_file="merge/merge.net.xml", joined=True
+    )
+
+
 ROADS: Mapping[str, Callable[..., Road]] = {
     "highway": highway,
     "two-way": two_way,
     "roundabout": roundabout,
     "intersection": intersection,
     "u-turn": u_turn,
+    "merge": merge,
 }
 
 

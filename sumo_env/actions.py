@@ -66,6 +66,7 @@ NAMES = {
     (False, True): {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT"},
     (False, False): {0: "IDLE"},
 }
+SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
 # The most careful first: braking, staying as one is, keeping to the right, hurrying, and overtaking.
 CAUTION = ("SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT")
 
@@ -127,12 +128,10 @@ def target_lane(
 ) -> LaneIndex:
     """Target lane after a meta-action of the ego at (x, y) [m]; `lane` is the previous one."""
     lane = follow_road(road, lane, route, x, y)
-    if action in ("LANE_LEFT", "LANE_RIGHT"):
-        start, end, place = lane
-        last = road.count(start, end) - 1
-        beside = (start, end, min(max(place + (1 if action == "LANE_RIGHT" else -1), 0), last))
-        if road.oncoming or road.lane(beside).is_reachable_from(x, y):  # it goes on for both lanes
-            return beside
+    beside = road.beside(lane, SIDES[action]) if action in SIDES else None
+    # the lane of oncoming traffic goes on beyond highway-env's
+    if beside is not None and (road.oncoming or road.lane(beside).is_reachable_from(x, y)):
+        return beside
     return lane
 
 

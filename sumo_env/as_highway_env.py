@@ -201,7 +201,9 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         """Indices of the actions that would change something now, and of IDLE."""
         x, y, lane, road = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane, self._road
         beside = {
-            other[2] - lane[2] for other in road.side_lanes(lane) if road.lane(other).is_reachable_from(x, y)
+            side
+            for side in (-1, 1)
+            if (other := road.beside(lane, side)) and road.lane(other).is_reachable_from(x, y)
         }
         possible = {
             "IDLE": True,

@@ -135,7 +135,7 @@ FIXED: dict[str, tuple[Any, str]] = {
 }
 # Tasks whose configurations are highway-env's. Keys of its other environments and versions, and of our other tasks, are
 # ignored there with a warning, as highway-env does; so are unknown keys of its observations and actions.
-HIGHWAY_ENVS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
+HIGHWAY_ENVS = ("highway", "two-way", "roundabout", "intersection", "u-turn", "merge")
 IGNORED = {
     "action_reward", "add_walls", "after_merge_length", "arrived_reward", "before_merge_length", "block_lane",
     "converge_merge_length", "derivative_noise", "destination", "ego_spacing", "force_decision", "goal_reward",

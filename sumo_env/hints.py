@@ -67,7 +67,7 @@ TYPES = {
     "TupleObservation": "a gymnasium.ObservationWrapper can join observations",
 }
 # Ids of highway-env that are not here: other roads, and of the tasks on SUMO the later versions.
-_ROADS = """exit-v0 exit-v1 lane-keeping-v0 merge-v0 merge-v1 merge-generic-v0 merge-generic-v1 parking-v0
+_ROADS = """exit-v0 exit-v1 lane-keeping-v0 merge-generic-v0 merge-generic-v1 parking-v0
     parking-ActionRepeat-v0 parking-parked-v0 racetrack-v0 racetrack-v1 racetrack-large-v0 racetrack-large-v1
     racetrack-oval-v0 racetrack-oval-v1 roundabout-generic-v0 roundabout-generic-v1"""
 NOT_HERE = {
@@ -76,7 +76,10 @@ NOT_HERE = {
         for of in ("sumo", "replica")
         for id in _ROADS.split()
     },
-    **_all("sumo/roundabout-v1 sumo/intersection-v1 sumo/intersection-v2 sumo/u-turn-v1", "replica/* has it"),
+    **_all(
+        "sumo/roundabout-v1 sumo/intersection-v1 sumo/intersection-v2 sumo/u-turn-v1 sumo/merge-v1",
+        "replica/* has it",
+    ),
     **_all(
         "sumo/intersection-multi-agent-v0 sumo/intersection-multi-agent-v1 sumo/intersection-multi-agent-v2",
         "sumo/intersection-v0 has 'MultiAgentAction'",

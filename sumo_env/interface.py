@@ -55,7 +55,7 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     if isinstance(kind, ContinuousAction) and kind.lateral and not steers and task.name in TASKS:
         tell_of_lanes(config["action"]["type"])
     limits = task.reward_limits(config)
-    if limits and config["normalize_reward"] and limits[0] == limits[1]:
+    if limits and config.get("normalize_reward", True) and limits[0] == limits[1]:
         raise ConfigError(
             f"the reward cannot be normalised: the weights make {limits[0]:g} both its least and its largest value; "
             "change 'collision_reward' or another weight, or set 'normalize_reward' to False"

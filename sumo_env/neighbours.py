@@ -55,8 +55,7 @@ class LeadersFollowers:
     def observe(self, seen: Situation) -> Array:
         """The numbers."""
         scene, road, ego = seen[:3]
-        start, end, own = ego.lane
-        exist = [0 <= place < road.count(start, end) for place in (own - 1, own, own + 1)]
+        exist = [road.beside(ego.lane, -1) is not None, True, road.beside(ego.lane, 1) is not None]
         if scene.place is not None:
             exist, neighbours = [scene.place.left, True, scene.place.right], scene.place.neighbours
         else:

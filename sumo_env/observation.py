@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, ON_REQUEST, PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
+from sumo_env.scene import (
+    MAX_SPEED,
+    ON_ITS_WAY,
+    ON_REQUEST,
+    PERCEPTION_DISTANCE,
+    VEHICLE_LENGTH,
+    Scene,
+    is_obstacle,
+)
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -23,6 +31,9 @@ POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 _DIRECTION, OFFSETS = ("cos_d", "sin_d"), ("long_off", "lat_off", "ang_off")
 FEATURES = (*POSE, *_DIRECTION, *OFFSETS)
 RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
+BEHIND = (
+    -2.0 * VEHICLE_LENGTH
+)  # [m] along the lane; what is further behind is seen by `see_behind`, obstacles never
 
 
 class TableForm(NamedTuple):
@@ -36,6 +47,7 @@ class TableForm(NamedTuple):
     high: Any
     rows: int  # of the table
     see_behind: bool
+    has_obstacles: bool
     is_sorted: bool
 
 
@@ -107,6 +119,7 @@ class Kinematics:
             *(np.ones(columns), np.zeros(columns), np.full(columns, -np.inf), np.full(columns, np.inf)),
             rows=rows,
             see_behind=bool(given["see_behind"]),
+            has_obstacles=bool(given["include_obstacles"]),
             is_sorted=one_of("order", given["order"], ("sorted", "shuffled")) == "sorted",
         )
         for column, feature in enumerate(self.features if given["normalize"] else ()):
@@ -126,11 +139,13 @@ class Kinematics:
         geometry = road.lane(lane)
         x, y = scene.x.tolist(), scene.y.tolist()
         here, _ = geometry.local_coordinates(x[0], y[0])
-        furthest_behind = -math.inf if self.form.see_behind else -2.0 * VEHICLE_LENGTH
+        furthest_behind = -math.inf if self.form.see_behind else BEHIND
         seen = []
         for row in range(1, len(x)):
             if math.hypot(x[row] - x[0], y[row] - y[0]) < PERCEPTION_DISTANCE:
                 ahead = geometry.local_coordinates(x[row], y[row])[0] - here
+                if is_obstacle(scene.ids[row]) and not (self.form.has_obstacles and ahead > BEHIND):
+                    continue
                 if ahead > furthest_behind:
                     seen.append((abs(ahead), row))
         if self.form.is_sorted:
@@ -304,6 +319,8 @@ class TimeToCollision:
         geometry = road.lane(ego.lane)
         here = geometry.local_coordinates(float(scene.x[0]), float(scene.y[0]))[0]
         for row in range(1, len(scene)):
+            if is_obstacle(scene.ids[row]):
+                continue
             x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
             speed = float(scene.speed[row])
             projected = speed * math.cos(heading - ego.heading)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sumo_env.config import OCCUPANCY_GRID, ConfigError, one_of
 from sumo_env.networks.roads import Road
 from sumo_env.observation import FEATURES, RELATIVE, Kinematics, Situation, ranges_of
-from sumo_env.scene import MAX_SPEED, Scene
+from sumo_env.scene import MAX_SPEED, Scene, is_obstacle
 
 ON_ROAD = "on_road"
 AROUND = 100.0  # [m] along each lane, either way, as far as the road is drawn
@@ -68,12 +68,12 @@ class OccupancyGrid:
     def observe(self, seen: Situation) -> NDArray[Any]:
         """The grid, float32 (or uint8 `as_image`) of shape (features, cells along x, cells along y)."""
         scene, road, before_ego = seen.scene, seen.road, seen.before_ego
-        rows = list(range(len(scene)))
+        rows = [row for row, name in enumerate(scene.ids) if not is_obstacle(name)]
         columns = self._table.columns(scene, road, rows, seen.specs)
         x, y = np.array(columns["x"]), np.array(columns["y"])
         first, second = self._cells(scene, x - x[0], y - y[0])
         inside = (first >= 0) & (first < self.shape[1]) & (second >= 0) & (second < self.shape[2])
-        order = [*rows[1 : before_ego + 1], 0, *rows[before_ego + 1 :]]
+        order = [*range(1, before_ego + 1), 0, *range(before_ego + 1, len(rows))]
         grid = np.full(self.shape, np.nan)
         for layer, feature in enumerate(self.features):
             if feature == ON_ROAD:

@@ -15,6 +15,8 @@ from sumo_env.networks.roads import LaneIndex
 VEHICLE_LENGTH = 5.0  # [m] highway_env.vehicle.kinematics.Vehicle.LENGTH
 VEHICLE_WIDTH = 2.0  # [m] Vehicle.WIDTH
 CAR_SIZE = (VEHICLE_LENGTH, VEHICLE_WIDTH)
+OBSTACLE_SIZE = (2.0, 2.0)  # [m] highway_env.vehicle.objects.RoadObject
+OBSTACLE = "obstacle:"  # ids of obstacles begin with it
 MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION_DISTANCE
 
@@ -51,6 +53,11 @@ ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING)
 # give way at the next junction, how far it is from there [m], and its speed [m/s]; the ego's target speed [m/s].
 SECONDS_LEFT, FOE = "light_seconds", ("foe_gap", "foe_speed")
 ON_REQUEST = (SECONDS_LEFT, *FOE, "target_speed")
+
+
+def is_obstacle(name: str) -> bool:
+    """Whether an id in a scene is that of an obstacle, which is no vehicle."""
+    return name.startswith(OBSTACLE)
 
 
 class Neighbour(NamedTuple):
@@ -107,6 +114,8 @@ class Place(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Scene:
     """Struct of arrays, one row per vehicle, the learning cars first; highway-env's coordinates (x east, y *down*).
+
+    Obstacles of the road are rows, too (`is_obstacle`).
 
     Row 0 is the ego: the only learning car, or the one by which the scene is seen (`seen_by`).
 

@@ -21,7 +21,7 @@ from sumo_env.hints import missing, page
 from sumo_env.networks.lanes import Lane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.observation import FEATURES, destination_direction
-from sumo_env.scene import Floats, Scene
+from sumo_env.scene import Floats, Scene, is_obstacle
 from sumo_env.traffic.scenario import VehicleSpec
 
 # Modules of highway-env and, where it has another name there, the class that views stand for.
@@ -31,6 +31,7 @@ THEIRS = {
     "ContinuousAction ego": "vehicle.kinematics:Vehicle",
     "DiscreteAction ego": "vehicle.kinematics:Vehicle",
     "dynamical ego": "vehicle.dynamics:BicycleVehicle",
+    "Obstacle": "vehicle.objects:Obstacle",
     "RoadView": "road.road:Road",
     "intersection": "road.regulation:RegulatedRoad",
     "RoadNetwork": "road.road",
@@ -288,7 +289,7 @@ class RoadView(View):
     kind = "road"
     network: RoadNetwork  # the lanes
     vehicles: tuple[Vehicle, ...]  # all of the scene, the ego first
-    objects: tuple[Vehicle, ...] = ()  # there are no obstacles
+    objects: tuple[Vehicle, ...] = ()  # obstacles
     scene: Scene  # places and speeds of all vehicles as arrays
     specs: Mapping[str, VehicleSpec]  # what vehicles were made from, by id
     neighbour_vehicles_connected_lanes: bool  # whether neighbours are looked for on the next lanes too
@@ -304,7 +305,7 @@ class RoadView(View):
         lanes = [(self.network.get_lane(index), 0.0), *self._connected(index)]
         here = lanes[0][0].local_coordinates(vehicle.position)[0]
         places: list[tuple[float, Vehicle]] = []
-        for other in self.vehicles:
+        for other in (*self.vehicles, *self.objects):
             on = [each for each in lanes if each[0].on_lane(other.position, margin=1.0)]
             if other is not vehicle and on:
                 lane, offset = on[0]
@@ -388,9 +389,10 @@ def road_view(
                 LENGTH=length,
                 WIDTH=width,
                 road=view,
-                _theirs=learning if row == 0 or name in further else "",
+                _theirs=learning if row == 0 or name in further else "Obstacle" if is_obstacle(name) else "",
                 **more,
             )
         )
-    vars(view)["vehicles"] = _Vehicles(vehicles)
+    vars(view)["vehicles"] = _Vehicles(vehicle for vehicle in vehicles if not is_obstacle(vehicle.id))
+    vars(view)["objects"] = tuple(vehicle for vehicle in vehicles if is_obstacle(vehicle.id))
     return view

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
-from highway_env.envs import HighwayEnv, IntersectionEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
+from highway_env.envs import HighwayEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.kinematics import Vehicle
@@ -42,7 +42,7 @@ from sumo_env.contacts.rectangles import State, separation, state_of, states
 from sumo_env.interface import information, interface
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.replica.linear import LAWS, LinearDriver, draw, linear_drivers
-from sumo_env.scene import Scene
+from sumo_env.scene import OBSTACLE_SIZE, Scene
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.risk import RiskEvent, free_way, has_room
@@ -195,7 +195,11 @@ class ScenarioEnv(AbstractEnv):
     def _make_vehicles(self, *_: Any) -> None:
         """Place the scenario, in place of highway-env's draws, and drive its warm-up (`Simulator.reset`)."""
         scenario, spec = self.scenario, self.scenario.ego
-        vehicles = self.road.vehicles = [self._vehicle_of(other) for other in scenario.vehicles]
+        standing = [other for other in scenario.vehicles if other.is_obstacle]
+        for box, known in zip(self.road.objects, standing, strict=True):
+            box.id = known.id
+        vehicles = [self._vehicle_of(other) for other in scenario.vehicles if not other.is_obstacle]
+        self.road.vehicles = vehicles
         if scenario.warm_up:
             for _frame in range(round(scenario.warm_up * self.config["simulation_frequency"])):
                 self.road.act()
@@ -317,14 +321,17 @@ class ScenarioEnv(AbstractEnv):
 
     def _scene(self) -> Scene:
         ego = self.vehicle
-        vehicles: list[Vehicle] = [ego, *(vehicle for vehicle in self.road.vehicles if vehicle is not ego)]
+        vehicles: list[Any] = [ego, *(vehicle for vehicle in self.road.vehicles if vehicle is not ego)]
+        vehicles += self.road.objects
         x, y = np.array([vehicle.position for vehicle in vehicles]).T.copy()
         speed, heading = (
             np.array([float(getattr(v, name)) for v in vehicles]) for name in ("speed", "heading")
         )
         crashed = np.array([bool(vehicle.crashed) for vehicle in vehicles])
         time = round(self.steps / self.config["simulation_frequency"], 6)
-        return Scene(tuple(vehicle.id for vehicle in vehicles), x, y, speed, heading, crashed, time)
+        ids = tuple(vehicle.id for vehicle in vehicles)
+        sizes = {box.id: OBSTACLE_SIZE for box in self.road.objects}
+        return Scene(ids, x, y, speed, heading, crashed, time, sizes=sizes)
 
 
 class HighwayScenario(ScenarioEnv, HighwayEnv):
@@ -358,6 +365,15 @@ class UTurnScenario(ScenarioEnv, UTurnEnv):
     """u-turn-v0 and -v1."""
 
     task = TASKS["u-turn"]
+
+
+class MergeScenario(ScenarioEnv, MergeEnv):
+    """merge-v0 and -v1."""
+
+    task = TASKS["merge"]
+
+    def _arrived(self) -> bool:
+        return bool(self.vehicle.position[0] > 370)
 
 
 class IntersectionScenario(ScenarioEnv, IntersectionEnv):

@@ -60,8 +60,9 @@ class ScenarioVehicle(IDMVehicle):
     def lanes_beside(self, direction: int) -> list[LaneIndex]:
         """The lanes that a cut-in may go to, the preferred one first; -1 is left, +1 right."""
         start, end, lane = self.target_lane_index
-        count = len(self.road.network.graph[start][end])
-        return [(start, end, k) for k in (lane + direction, lane - direction) if 0 <= k < count]
+        lanes = self.road.network.graph[start][end]
+        beside = [k for k in (lane + direction, lane - direction) if 0 <= k < len(lanes)]
+        return [(start, end, k) for k in beside if not lanes[k].forbidden]
 
     def cut_in(self, lane: LaneIndex) -> None:
         """Head for this lane at once, whatever MOBIL says, until it is reached."""

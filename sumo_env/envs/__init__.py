@@ -5,7 +5,15 @@ import sys
 from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.tasks import TASKS, get_task
 
-__all__ = ["HighwayEnv", "HighwayEnvFast", "IntersectionEnv", "RoundaboutEnv", "TwoWayEnv", "UTurnEnv"]
+__all__ = [
+    "HighwayEnv",
+    "HighwayEnvFast",
+    "IntersectionEnv",
+    "MergeEnv",
+    "RoundaboutEnv",
+    "TwoWayEnv",
+    "UTurnEnv",
+]
 
 
 class HighwayEnv(AbstractEnv):
@@ -24,6 +32,12 @@ class IntersectionEnv(AbstractEnv):
     """The intersection, to be subclassed."""
 
     task = get_task("intersection")
+
+
+class MergeEnv(AbstractEnv):
+    """The merge, to be subclassed."""
+
+    task = get_task("merge")
 
 
 class RoundaboutEnv(AbstractEnv):

@@ -23,15 +23,16 @@ from sumo_env.replica.step import Rules, hold, policy_step, staying
 from sumo_env.tasks import TASKS, base
 from sumo_env.tasks.base import Task, lmap
 from sumo_env.tasks.intersection import ARRIVAL
+from sumo_env.tasks.merge import PASSED, RAMP_END
 
 # In place of an action. AFRESH: only observe the start of an episode. NOTHING: skip this row.
 AFRESH, NOTHING = -1, -2
 OTHER = 1  # the number of an action of which rewards take no notice
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
-SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
 PAID = tuple(name for name, task in TASKS.items() if task.versions)  # tasks whose rewards `reward` has
-HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN = range(len(PAID))
+HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN, MERGE = range(len(PAID))
 LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
+LANE_REWARDS["merge"] = "right_lane_reward"
 
 OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
     [
@@ -72,6 +73,8 @@ class RewardWeights(NamedTuple):
     speed: float
     lane_change: float
     arrived: float
+    held_up: float
+    ramp: int  # the lane where somebody may be held up, or NONE
     limits: tuple[float, float]  # rewards that become 0 and 1; (0, 1) where rewards are not normalised
     speed_range: tuple[float, float]  # ``reward_speed_range`` [m/s]
     offroad_terminal: bool
@@ -91,7 +94,7 @@ def reward_weights(task: Task, config: Config) -> RewardWeights:
     def weight(key: str) -> float:
         return float(config.get(key, 0.0))
 
-    limits = task.reward_limits(config) if config.get("normalize_reward") else None
+    limits = task.reward_limits(config) if config.get("normalize_reward", True) else None
     low, high = limits or (0.0, 1.0)
     slow, fast = config.get("reward_speed_range", (0.0, 1.0))
     return RewardWeights(
@@ -101,6 +104,10 @@ def reward_weights(task: Task, config: Config) -> RewardWeights:
         speed=weight("high_speed_reward"),
         lane_change=weight("lane_change_reward"),
         arrived=weight("arrived_reward"),
+        held_up=weight("merging_speed_reward"),
+        ramp=tables.lanes_of(task.road(config), False).numbers.get(RAMP_END, tables.NONE)
+        if task.name == "merge"
+        else tables.NONE,
         limits=(float(low), float(high)),
         speed_range=(float(slow), float(fast)),
         offroad_terminal=task.name != "u-turn" and bool(config.get("offroad_terminal", False)),
@@ -202,12 +209,12 @@ def command(params: Any, ego: Any, episode: Any, action: int) -> None:
     ego.target_speed = params.speeds[episode.speed_index]
     follow_road(params.lanes, ego, local_coordinates(params.lanes[ego.target], ego.x, ego.y)[0])
     if params.sides[action] != 0:
-        road = params.lanes[ego.target].road
-        last = road + params.lanes[ego.target].abreast - 1
-        beside = min(max(ego.target + params.sides[action], road), last)
-        s, lat = local_coordinates(params.lanes[beside], ego.x, ego.y)
-        if is_reachable(params.lanes[beside], s, lat):
-            ego.target = beside
+        lane = params.lanes[ego.target]
+        beside = lane.left if params.sides[action] < 0 else lane.right
+        if beside != tables.NONE:
+            s, lat = local_coordinates(params.lanes[beside], ego.x, ego.y)
+            if is_reachable(params.lanes[beside], s, lat):
+                ego.target = beside
 
 
 @inlined
@@ -221,16 +228,29 @@ def density(cars: Any) -> int:
 
 
 @inlined
-def has_arrived(lanes: Any, ego: Any, s: float) -> bool:
-    """`Intersection.arrived`; s: of the ego on its lane [m]."""
+def has_arrived(w: Any, lanes: Any, ego: Any, s: float) -> bool:
+    """`Task.arrived`; s: of the ego on its lane [m]."""
+    if w.task == MERGE:
+        return lanes[ego.lane].start == lanes[w.ramp].end and s > PASSED
     return lanes[ego.lane].is_exit and s >= ARRIVAL
 
 
 @inlined
+def held_up(cars: Any, ramp: int) -> float:
+    """By what shares of their wanted speeds the others in the lane `ramp` are too slow."""
+    total = 0.0
+    for j in range(1, len(cars)):
+        if cars[j].lane == ramp and not cars[j].is_obstacle:
+            total += (cars[j].target_speed - cars[j].speed) / cars[j].target_speed
+    return total
+
+
+@inlined
 def reward(
-    w: Any, lanes: Any, ego: Any, action: int, speed_index: int, speeds: int, on_road: bool, arrived: bool
+    w: Any, lanes: Any, cars: Any, action: int, speed_index: int, speeds: int, on_road: bool, arrived: bool
 ) -> float:
     """`Task.reward` after a policy step; speeds: number of target speeds."""
+    ego = cars[0]
     here, target = ego.lane - lanes[ego.lane].road, ego.target - lanes[ego.target].road
     total = w.collision * ego.crashed
     if w.task == HIGHWAY:
@@ -247,6 +267,11 @@ def reward(
     elif w.task == U_TURN:
         total += w.lane * here
         total += w.speed * _speed_term(ego.speed, w.speed_range)
+    elif w.task == MERGE:
+        total += w.lane * here
+        total += w.speed * lmap(ego.speed, w.speed_range, (0.0, 1.0))
+        total += w.lane_change * (action == 0 or action == 2)
+        return lmap(total + w.held_up * held_up(cars, w.ramp), w.limits, (0.0, 1.0))
     return lmap(total, w.limits, (0.0, 1.0)) * on_road
 
 
@@ -255,7 +280,7 @@ def judge_step(params: Any, cars: Any, episode: Any, outcome: Any, action: int) 
     """Write down how the ego is, and what a step pays and ends; `action` AFRESH: before the first step."""
     ego = cars[0]
     _, s, _, on_road = ego_place(params.seen_lanes, cars)
-    arrived = has_arrived(params.seen_lanes, ego, s)
+    arrived = has_arrived(params.weights, params.seen_lanes, ego, s)
     outcome.speed, outcome.crashed = ego.speed, ego.crashed
     outcome.on_road, outcome.arrived = on_road, arrived
     outcome.density = density(cars)
@@ -265,7 +290,7 @@ def judge_step(params: Any, cars: Any, episode: Any, outcome: Any, action: int) 
     if action != AFRESH:
         count = len(params.speeds)
         outcome.reward = reward(
-            params.weights, params.seen_lanes, ego, action, episode.speed_index, count, on_road, arrived
+            params.weights, params.seen_lanes, cars, action, episode.speed_index, count, on_road, arrived
         )
         outcome.terminated = ego.crashed or arrived or (params.weights.offroad_terminal and not on_road)
         outcome.truncated = episode.steps >= params.time_limit

@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from sumo_env.contacts import measures, rectangles
-from sumo_env.tasks import base, intersection, roundabout, two_way
+from sumo_env.tasks import base, intersection, merge, roundabout, two_way
 
 try:
     import numba
@@ -112,6 +112,7 @@ for _function in _BENEATH:  # plain Python, which functions call that kernels ca
     register_jitable(_function)
 
 _sources = [
-    Path(str(module.__file__)) for module in (base, intersection, roundabout, two_way, measures, rectangles)
+    Path(str(module.__file__))
+    for module in (base, intersection, merge, roundabout, two_way, measures, rectangles)
 ]
 _newest = max(source.stat().st_mtime for source in (*Path(__file__).parent.glob("*.py"), *_sources))

@@ -12,15 +12,21 @@ from sumo_env.contacts import measures
 from sumo_env.contacts.measures import HORIZON, TTC_RADIUS
 from sumo_env.contacts.rectangles import DIAGONAL, HALF_LENGTH, HALF_WIDTH
 from sumo_env.replica.compiled import inlined
+from sumo_env.scene import OBSTACLE_SIZE
 
+HALF_OBSTACLE = OBSTACLE_SIZE[0] / 2, OBSTACLE_SIZE[1] / 2
+OBSTACLE_DIAGONAL = math.hypot(*OBSTACLE_SIZE)
 _ego_ttc = inlined(measures.ego_ttc)
 
 
 @inlined
 def corners(car: Any) -> Any:
     """``RoadObject.polygon``: the four corners, x and y [m] each."""
-    along_x, along_y = HALF_LENGTH * car.cos, HALF_LENGTH * car.sin
-    across_x, across_y = HALF_WIDTH * car.sin, HALF_WIDTH * car.cos
+    half_length, half_width = HALF_LENGTH, HALF_WIDTH
+    if car.is_obstacle:
+        half_length, half_width = HALF_OBSTACLE
+    along_x, along_y = half_length * car.cos, half_length * car.sin
+    across_x, across_y = half_width * car.sin, half_width * car.cos
     return (
         (-along_x + across_x + car.x, -along_y - across_y + car.y),
         (-along_x - across_x + car.x, -along_y + across_y + car.y),
@@ -104,7 +110,8 @@ def count_near(x: Any, place: float, near: float) -> int:
 def collide(cars: Any, places: Any, rules: Any, before_ego: int) -> None:
     """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step.
 
-    Pairs are looked at in highway-env's order of vehicles; by ``rules.ego_contacts`` only those with a learning car.
+    Pairs are looked at in highway-env's order of vehicles, after which obstacles come; by ``rules.ego_contacts`` only
+    those with a learning car.
     """
     n, x = len(cars), places.room[0]
     for i in range(n):
@@ -122,10 +129,13 @@ def collide(cars: Any, places: Any, rules: Any, before_ego: int) -> None:
             if rules.ego_contacts and not (a.is_ego or b.is_ego):
                 continue
             dx, dy = b.x - a.x, b.y - a.y
-            if math.sqrt(dx * dx + dy * dy) > near:
+            reach = (DIAGONAL + OBSTACLE_DIAGONAL) / 2 + a.speed * rules.dt if b.is_obstacle else near
+            if a.is_obstacle or math.sqrt(dx * dx + dy * dy) > reach:
                 continue
             now, soon, way_x, way_y = touch(a, b, rules.dt)
-            if soon:
+            if soon and b.is_obstacle:
+                a.is_pushed_apart, a.apart_x, a.apart_y = True, way_x, way_y
+            elif soon:
                 a.is_pushed_apart = b.is_pushed_apart = True
                 a.apart_x, a.apart_y = way_x / 2.0, way_y / 2.0
                 b.apart_x, b.apart_y = -way_x / 2.0, -way_y / 2.0

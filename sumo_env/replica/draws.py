@@ -17,8 +17,8 @@ from sumo_env.config import Config, ConfigError
 from sumo_env.networks.roads import Road
 from sumo_env.replica.tables import as_rotated
 from sumo_env.streams import stream
-from sumo_env.tasks import TASKS, highway, roundabout, u_turn
-from sumo_env.tasks.base import Task, cars_count, make_on_lane
+from sumo_env.tasks import TASKS, highway, merge, roundabout, u_turn
+from sumo_env.tasks.base import Task, cars_count, make_on_lane, obstacles
 from sumo_env.tasks.intersection import INITIAL_SPAWN_PROBABILITY, Intersection
 from sumo_env.tasks.two_way import ONCOMING, OWN
 from sumo_env.traffic.drivers import Driver
@@ -61,6 +61,7 @@ def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
             vehicles = tuple(task.with_cars(config, road, ego, list(vehicles), cars, rng))
     else:
         raise ConfigError(f"highway-env's draws of the task {task.name!r} are not known here; {INSTEAD}")
+    vehicles += tuple(obstacles(exact))
     return Scenario(
         task=task.name,
         seed=0,
@@ -145,7 +146,16 @@ def _intersection(config: Config, road: Road, rng: Random) -> Vehicles:
     return tuple(vehicles)
 
 
-_OTHERS = {"two-way": _two_way, "roundabout": _roundabout, "u-turn": _u_turn}
+def _merge(config: Config, road: Road, rng: Random) -> Vehicles:
+    """``MergeEnv._make_vehicles``."""
+    vehicles = [
+        make_on_lane(road, f"v{k}", *place, _driver(road)) for k, place in enumerate(merge.places(rng))
+    ]
+    ramp = road, merge.MERGING, merge.RAMP, 110.0, 20.0, _driver(road)
+    return (*vehicles, make_on_lane(*ramp, target_speed=merge.WANTED))
+
+
+_OTHERS = {"two-way": _two_way, "roundabout": _roundabout, "u-turn": _u_turn, "merge": _merge}
 
 
 # -- arrivals -----------------------------------------------------------------------------------------------------

@@ -149,7 +149,7 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int, i: in
     The distance and speed of a leader beyond the end of the lane are projected on the lane and heading of the follower
     or, by ``rules.along_path``, measured along the path.
     """
-    if i == NONE:
+    if i == NONE or cars[i].is_obstacle:
         return 0.0
     car, driver = cars[i], cars[who]
     if driver.is_linear:
@@ -216,8 +216,8 @@ def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     if car.timer <= LANE_CHANGE_DELAY:
         return
     car.timer = 0.0
-    for new in (car.lane - 1, car.lane + 1):
-        if not lane.road <= new < lane.road + lane.abreast:
+    for new in (lane.left, lane.right):
+        if new == NONE:
             continue
         reachable = is_reachable(lanes[new], places.s[new, i], places.lat[new, i])
         if reachable and abs(car.speed) >= MIN_SPEED and mobil(lanes, cars, places, rules, i, new):

@@ -29,6 +29,7 @@ from sumo_env.traffic.scenario import Scenario
 SCENARIOS = ("highway-env", "seeded")
 # Policy steps of two-way-v0, which has no duration (``max_episode_steps`` of its registration).
 TIME_LIMIT = 15
+NEVER = 2**31 - 1  # policy steps: of merge-v0, which has neither
 # highway-env's default observations where those of `sumo_env` differ.
 OBSERVATIONS: dict[str, Config] = {
     "two-way": {"type": "TimeToCollision", "horizon": 5},
@@ -59,12 +60,14 @@ VERSIONS: dict[tuple[str, int], Config] = {
         },
     },
     ("intersection", 2): CONNECTED,
+    ("merge", 1): CONNECTED,
 }
 # Keys of `sumo_env` that highway-env's task does not have.
 ADDED_KEYS: dict[str, tuple[str, ...]] = {
     "two-way": ("vehicles_count", "oncoming_vehicles_count", "road_length", "duration"),
     "roundabout": ("vehicles_count",),
     "u-turn": ("vehicles_count",),
+    "merge": ("vehicles_count", "duration"),
 }
 
 
@@ -206,6 +209,8 @@ class ReplicaEnv(DrivingEnv):
         """Policy steps after which time is up."""
         if self.is_stock and self.task.name == "two-way":
             return TIME_LIMIT
+        if self.is_stock and self.task.name == "merge":
+            return NEVER
         return _time_limit(self.config["duration"], self.config["policy_frequency"], self.is_stock)
 
     def _is_truncated(self) -> bool:

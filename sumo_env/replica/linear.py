@@ -41,6 +41,8 @@ def linear_drivers(scenario: Scenario) -> dict[str, LinearDriver]:
     rng = stream(scenario.seed, "linear drivers")
     found: dict[str, LinearDriver] = {}
     for spec in (*scenario.vehicles, *(spawn.vehicle for spawn in scenario.spawns)):
+        if spec.is_obstacle:
+            continue
         share, *draws = rng.uniform(size=1 + len(ACCELERATION) + len(STEERING))
         if share < scenario.risk:
             where = 2.0 * np.array(draws) - 1.0  # in the range, from -1 to 1

@@ -10,7 +10,7 @@ from typing import Any
 from sumo_env.contacts import rectangles
 from sumo_env.replica.compiled import inlined
 from sumo_env.replica.geometry import heading_at, position
-from sumo_env.replica.tables import CUT_IN
+from sumo_env.replica.tables import CUT_IN, NONE
 from sumo_env.traffic.risk import CUT_IN_GAP, HALF_CORRIDOR, LOOKED_AT, SWERVE_TIME
 
 OWN_LANE, ONCOMING_LANE = 1, 0  # of the two-way road, both driven to the east
@@ -50,9 +50,10 @@ def has_free_way(cars: Any, i: int) -> bool:
 def cut_in(lanes: Any, cars: Any, places: Any, i: int, direction: int) -> None:
     """Change to the lane on this side, or the other one, whatever MOBIL says; only where there is room."""
     car = cars[i]
-    lane = lanes[car.target]
-    for new in (car.target + direction, car.target - direction):
-        if lane.road <= new < lane.road + lane.abreast and has_room(lanes, cars, places, i, new):
+    beside = lanes[car.target].left, lanes[car.target].right
+    for side in (direction, -direction):
+        new = beside[0] if side < 0 else beside[1]
+        if new != NONE and has_room(lanes, cars, places, i, new):
             car.target, car.is_forced = new, True
             return
 

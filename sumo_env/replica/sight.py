@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.observation import FEATURES, OFFSETS, POSE, Kinematics, TableForm
+from sumo_env.observation import BEHIND, FEATURES, OFFSETS, POSE, Kinematics, TableForm
 from sumo_env.replica.compiled import compiled, inlined
 from sumo_env.replica.geometry import heading_at, is_on, local_coordinates, wrapped
-from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH
+from sumo_env.scene import PERCEPTION_DISTANCE
 
 HALF_WIDTH = 2.0  # [m] of a lane
 FIRST_OFFSET = FEATURES.index(OFFSETS[0])
@@ -45,7 +45,9 @@ def observe(lanes: Any, cars: Any, form: Any, result: Any) -> None:
         if math.hypot(cars[j].x - ego.x, cars[j].y - ego.y) >= PERCEPTION_DISTANCE:
             continue
         ahead = local_coordinates(lane, cars[j].x, cars[j].y)[0] - here
-        if not form.see_behind and ahead <= -2.0 * VEHICLE_LENGTH:
+        if ahead <= BEHIND and (cars[j].is_obstacle or not form.see_behind):
+            continue
+        if cars[j].is_obstacle and not form.has_obstacles:
             continue
         place = seen
         while form.is_sorted and place > 0 and distances[place - 1] > abs(ahead):

@@ -23,7 +23,7 @@ from sumo_env.replica.draws import Centres
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.motion import MAX_SPEED
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
-from sumo_env.scene import NO_LIGHT, Scene
+from sumo_env.scene import NO_LIGHT, OBSTACLE_SIZE, Scene, is_obstacle
 from sumo_env.simulator import Command, Commands, EgoStep, SteeringCommand, Step
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
 
@@ -271,6 +271,7 @@ class Replica:
                 self._order = [*rows, *(row for row in range(len(present)) if row not in rows)]
                 present = [present[row] for row in self._order]
             self._present = tuple(present)
+            self._sizes = {name: OBSTACLE_SIZE for name in present if is_obstacle(name)}
 
     def _steer_ego_for(self, ego: Any, lane: LaneIndex) -> None:
         """Set the ego's target lane; on the next road of its route, that road begins the rest of the route."""
@@ -298,6 +299,7 @@ class Replica:
             crashed=frame[CRASHED] > 0.0,
             time=round(steps / self._scenario.simulation_frequency, 6),
             in_event=frozenset(compress(self._present, frame[IN_EVENT])) if self._scenario.events else NOBODY,
+            sizes=self._sizes,
             cars=len(self._egos),
             further=dict.fromkeys(self._present[1 : len(self._egos)], (NO_LIGHT, None)),
         )

@@ -54,7 +54,7 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
         if car.is_ego:  # ``MDPVehicle.act``
             follow_road(lanes, car, places.s[car.target, i])
             car.acceleration = KP_ACCELERATION * (car.target_speed - car.speed)
-        elif not car.crashed:
+        elif not (car.crashed or car.is_obstacle):
             drive(lanes, cars, places, rules, i)
     steer(lanes, cars, places, rules)
 

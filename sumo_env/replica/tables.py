@@ -20,6 +20,7 @@ from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, Point, S
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.replica.compiled import readable
 from sumo_env.replica.linear import TIME_WANTED, LinearDriver
+from sumo_env.scene import is_obstacle
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.risk import RiskEvent
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -51,6 +52,8 @@ LANE = np.dtype(
         ("turn", "f8"),  # +1 to the right, -1 to the left
         ("road", "i8"),  # number of the left lane of this road
         ("abreast", "i8"),  # lanes of this road
+        ("left", "i8"),  # the lane to the left that may be changed to, or NONE
+        ("right", "i8"),
         ("start", "i8"),  # number of the node where the lane begins
         ("end", "i8"),
         ("is_exit", "?"),  # vehicles leave near its end (intersection)
@@ -106,6 +109,7 @@ CAR = np.dtype(
         ("target_speed", "f8"),  # [m/s]
         ("timer", "f8"),  # since the last decision of MOBIL [s]
         ("changes_lanes", "?"),
+        ("is_obstacle", "?"),  # a box of the road, which stands
         ("yields", "?"),  # is stopping for others
         ("route", "i8", (LONGEST_ROUTE,)),  # roads, then NONE
         ("leg", "i8"),  # place in `route` of the road that the rest of the route begins with
@@ -193,6 +197,9 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         record = table[number]
         _write_geometry(record, curve)
         record["road"], record["abreast"] = roads[start, end], road.count(start, end)
+        for side, way in ((-1, "left"), (1, "right")):
+            other = road.beside((start, end, lane), side)
+            record[way] = NONE if other is None else numbers[other]
         record["start"], record["end"], record["is_exit"] = (
             nodes[start],
             nodes[end],
@@ -280,10 +287,12 @@ def route_of(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int,
 
 
 @lru_cache(maxsize=4096)
-def _rest(road: Road, lane: LaneIndex, goal: str | None, changes_lanes: bool, driver: Driver) -> bytes:
+def _rest(
+    road: Road, lane: LaneIndex, goal: str | None, changes_lanes: bool, is_obstacle: bool, driver: Driver
+) -> bytes:
     """What `cars_of` writes behind the timer, the same in many episodes."""
     return REST.pack(
-        changes_lanes, False, *route_of(road, lane, goal), 0, NONE if goal is None else lane[2],
+        changes_lanes, is_obstacle, False, *route_of(road, lane, goal), 0, NONE if goal is None else lane[2],
         False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, 0,
         driver.accel, driver.decel, driver.min_gap + VEHICLE_LENGTH, driver.tau, driver.delta, driver.emergency_decel,
         driver.safe_braking, driver.min_gain, driver.gives_way, *[0] * len(LINEAR + SLIDING),
@@ -299,7 +308,7 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
         rows += POSE.pack(
             number, id == EGO, x, y, heading, cos(heading), sin(heading), speed, place, place, wanted, timer
         )
-        rows += _rest(road, lane, goal, changes_lanes, driver)
+        rows += _rest(road, lane, goal, changes_lanes, is_obstacle(id), driver)
     return np.frombuffer(rows, CAR)
 
 

@@ -184,13 +184,11 @@ class Events:
         lane = session.vehicle.getLaneID(name)
         if lane not in self._network.indices or lane.startswith(":") or session.changes_lane(name):
             return
-        start, end, place = self._network.indices[lane]
-        count = self._network.road.count(start, end)
-        oncoming = self._network.road.oncoming  # then the only lane beside is that of oncoming traffic
-        targets = (0,) if oncoming else (place + event.direction, place - event.direction)
-        for target in targets:
-            beside = start, end, target
-            if target == place or not 0 <= target < count or not self._has_room(name, beside):
+        road = self._network.road
+        oncoming = road.oncoming  # then the only lane beside is that of oncoming traffic
+        for side in (-1,) if oncoming else (event.direction, -event.direction):
+            beside = road.beside(self._network.indices[lane], side)
+            if beside is None or not self._has_room(name, beside):
                 continue
             if self._asks_for_markings and not self._is_open(name, lane, beside):
                 continue

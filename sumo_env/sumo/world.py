@@ -191,14 +191,14 @@ class SumoSimulator:
         route, lane, position = self._network.place(spec.lane, spec.s, spec.destination, size[0] / 2.0)
         limit = self._network.road.lane(spec.lane).speed_limit
         learns = spec.id == EGO or spec.id in self._scenario.further
-        desired, base = (
-            limit if learns else min(spec.target_speed, limit),
-            modes(spec, self._scenario.calibration),
-        )
-        vehicle = Vehicle(self._session, spec.id, base, is_learning=learns, held=learns)
+        desired = limit if learns else min(spec.target_speed, limit)
+        base = modes(spec, self._scenario.calibration)
+        vehicle = Vehicle(self._session, spec.id, base, is_learning=learns, held=learns or spec.is_obstacle)
         self._session.add(
             spec.id, route, spec.driver.type, lane, position, spec.speed, desired, vehicle.now, size
         )
+        if spec.is_obstacle:
+            vehicle.drive(0.0)
         self._road[spec.id] = vehicle
 
     def _drive_warm_up(self) -> None:

@@ -6,12 +6,13 @@ from sumo_env.config import ConfigError, nearest
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.highway import FAST, Highway
 from sumo_env.tasks.intersection import Intersection
+from sumo_env.tasks.merge import Merge
 from sumo_env.tasks.roundabout import Roundabout
 from sumo_env.tasks.two_way import TwoWay
 from sumo_env.tasks.u_turn import UTurn
 
 TASKS: dict[str, Task] = {
-    task.name: task for task in (Highway(), TwoWay(), Roundabout(), Intersection(), UTurn())
+    task.name: task for task in (Highway(), TwoWay(), Roundabout(), Intersection(), UTurn(), Merge())
 }
 
 # Names that stand for a task with other defaults.

@@ -12,11 +12,12 @@ import numpy as np
 
 from sumo_env.config import MEASURED, Config, ConfigError, pace, simulated_frequency
 from sumo_env.networks.roads import LaneIndex, Road, is_shipped
-from sumo_env.scene import Scene
+from sumo_env.scene import OBSTACLE, Scene
 from sumo_env.streams import stream
 from sumo_env.traffic.drivers import (
     POOL,
     RISK_RANGES,
+    STANDING,
     Calibration,
     CarFollowing,
     Driver,
@@ -167,7 +168,7 @@ class Task:
     def normalized(self, reward: float, config: Config) -> float:
         """A reward mapped from `reward_limits` to [0, 1] where ``normalize_reward`` asks for it."""
         limits = self.reward_limits(config)
-        return lmap(reward, limits, (0.0, 1.0)) if limits and config["normalize_reward"] else reward
+        return lmap(reward, limits, (0.0, 1.0)) if limits and config.get("normalize_reward", True) else reward
 
     def arrived(self, ego: EgoState) -> bool:
         """Whether the ego has reached the goal (intersection only)."""
@@ -189,7 +190,7 @@ class Task:
 
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
         """The scenario with the events that have begun `now` [s] after its start, and others from then on."""
-        others = [spec for spec in scenario.vehicles if spec.id not in scenario.further]
+        others = [spec for spec in scenario.vehicles if not (spec.id in scenario.further or spec.is_obstacle)]
         drawn = self.events({**config, "risk": scenario.risk}, others, scenario.spawns, seed)
         begun = [event for event in scenario.events if event.time <= now]
         return replace(scenario, events=(*begun, *(event for event in drawn if event.time > now)))
@@ -245,6 +246,7 @@ class Task:
         cars = cars_count(config)
         if cars > 1:
             vehicles = self.with_cars(config, road, ego, vehicles, cars, rng)
+        vehicles = [*vehicles, *obstacles(road)]
         ids = [ego.id, *(spec.id for spec in vehicles), *(spawn.vehicle.id for spawn in spawns)]
         if len(set(ids)) < len(ids):
             twice = next(id for id in ids if ids.count(id) > 1)
@@ -325,6 +327,17 @@ def make_on_lane(
     timer = ((x + y) * math.pi) % 1.0  # IDMVehicle.timer: spreads MOBIL's decisions over time
     pose = lane, s, x, y, heading
     return VehicleSpec(id, *pose, speed, wanted, destination, driver, changes_lanes, timer, concerns_ego)
+
+
+def obstacles(road: Road) -> list[VehicleSpec]:
+    """The obstacles of a road, as vehicles that stand."""
+    found = []
+    for number, (x, y) in enumerate(road.obstacles):
+        lane = road.closest_lane(x, y, 0.0)
+        s, _ = road.lane(lane).local_coordinates(x, y)
+        pose = lane, s, x, y, 0.0
+        found.append(VehicleSpec(f"{OBSTACLE}{number}", *pose, 0.0, 0.0, None, STANDING, changes_lanes=False))
+    return found
 
 
 # The replica compiles the first two functions and `speed_term`: plain floats and sequences only.

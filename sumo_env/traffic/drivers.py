@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_env.scene import CAR_SIZE, VEHICLE_LENGTH, VEHICLE_WIDTH
+from sumo_env.scene import CAR_SIZE, OBSTACLE_SIZE, VEHICLE_LENGTH, VEHICLE_WIDTH
 from sumo_env.streams import stream
 from sumo_env.traffic.attributes import check_attributes
 
@@ -47,6 +47,9 @@ class Calibration:
         speed_gain: lcSpeedGain, eagerness to change for speed.
         speed_gain_lookahead: lcSpeedGainLookahead [s], over which LC2013 compares the speeds of lanes.
         assertive: lcAssertive, divides the gap that LC2013 asks for.
+        strategic: lcStrategic, eagerness to change to a lane that leads on; -1 for none.
+        sideways: highest speed sideways in a lane change as a share of the speed, so that who stands changes no lane;
+            None for SUMO's, which does not depend on the speed.
         waits_for_approaching: whether vehicles that only approach a junction have right of way at all.
         ignores_approaching: share of drivers that do not wait for vehicles approaching a junction (jmIgnoreFoeProb).
         ignores_inside: share of drivers that do not wait for vehicles inside a junction (jmIgnoreJunctionFoeProb).
@@ -62,6 +65,8 @@ class Calibration:
     ignores_approaching: float = 0.0
     ignores_inside: float = 0.0
     tau: float = 1.0
+    strategic: float = 1.0
+    sideways: float | None = None
 
 
 UNCALIBRATED = Calibration()
@@ -151,6 +156,9 @@ class Driver:
         return MIN_GAIN / self.speed_gain
 
 
+# Of an obstacle, which stands: of it there is only the size.
+_SIZE = ("length", f"{OBSTACLE_SIZE[0]:g}"), ("width", f"{OBSTACLE_SIZE[1]:g}")
+STANDING = Driver("obstacle", 4.0, 1.0, 1.0, 1.0, 1.0, 1.0, attributes=_SIZE)
 Range = tuple[float, float]
 
 
@@ -273,6 +281,9 @@ def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:
     # Probabilities are 0 or 1, drawn beforehand: SUMO would redraw fractional ones from its own generator.
     ignores_approaching = not driver.gives_way or driver.attention < calibration.ignores_approaching
     ignores_inside = not driver.gives_way or driver.attention < calibration.ignores_inside
+    sideways: dict[str, str] = {}
+    if calibration.sideways is not None:
+        sideways = {"lcMaxSpeedLatStanding": "0", "lcMaxSpeedLatFactor": f"{calibration.sideways:g}"}
     return {
         "length": f"{VEHICLE_LENGTH:g}",
         "width": f"{VEHICLE_WIDTH:g}",
@@ -297,12 +308,13 @@ def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:
         "lcSpeedGainRight": "1",
         "lcOvertakeRight": "1",
         "lcCooperative": "0",
-        "lcStrategic": "1",
+        "lcStrategic": f"{calibration.strategic:g}",
         "lcSpeedGain": f"{calibration.speed_gain * driver.speed_gain:.6f}",
         "lcSpeedGainLookahead": f"{calibration.speed_gain_lookahead:g}",
         "lcAssertive": f"{calibration.assertive * driver.assertive:.6f}",
         "jmIgnoreFoeProb": str(int(ignores_approaching)),
         "jmIgnoreFoeSpeed": "100" if ignores_approaching else "0",
         "jmIgnoreJunctionFoeProb": str(int(ignores_inside)),
+        **sideways,
         **dict(driver.attributes),
     }

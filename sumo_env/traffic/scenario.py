@@ -14,6 +14,7 @@ from typing import NamedTuple
 from sumo_env.networks import files, mapping
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex, Road, road
+from sumo_env.scene import is_obstacle
 from sumo_env.traffic.drivers import (
     RISK_RANGES,
     UNCALIBRATED,
@@ -64,6 +65,11 @@ class VehicleSpec(NamedTuple):  # dozens are made in every episode, a dataclass 
 
     def __deepcopy__(self, memo: dict[int, object]) -> VehicleSpec:
         return self  # immutable
+
+    @property
+    def is_obstacle(self) -> bool:
+        """Whether it is an obstacle of the road: it stands, and nobody drives it."""
+        return is_obstacle(self.id)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,10 +212,11 @@ class Scenario:
         return (self.ego, *self.vehicles)
 
     def with_drivers(self, other: Callable[[Driver], Driver]) -> Scenario:
-        """This scenario with another driver in every vehicle but learning cars: what `other` makes of each."""
+        """This scenario with another driver in every vehicle but learning cars: what `other` makes of each driver."""
 
         def changed(spec: VehicleSpec) -> VehicleSpec:
-            return spec if spec.id in self.further else spec._replace(driver=other(spec.driver))
+            is_fixed = spec.id in self.further or spec.is_obstacle
+            return spec if is_fixed else spec._replace(driver=other(spec.driver))
 
         vehicles = tuple(map(changed, self.vehicles))
         spawns = tuple(replace(spawn, vehicle=changed(spawn.vehicle)) for spawn in self.spawns)

@@ -8,9 +8,16 @@ from xml.etree import ElementTree
 
 import pytest
 
-from sumo_env.networks import build, plans
+from sumo_env.networks import build, mapping, plans
 
-SPEEDS = {"highway": 30.0, "two-way": 20.0, "roundabout": 20.0, "intersection": 10.0, "u-turn": 20.0}
+SPEEDS = {
+    "highway": 30.0,
+    "two-way": 20.0,
+    "roundabout": 20.0,
+    "intersection": 10.0,
+    "u-turn": 20.0,
+    "merge": 20.0,
+}
 PLANS = list(plans.all_plans())
 needs_netconvert = pytest.mark.skipif(find_spec("sumo") is None, reason="netconvert comes with eclipse-sumo")
 
@@ -41,8 +48,23 @@ def test_what_the_simulation_relies_on_is_there(plan):
     assert {float(lane.get("speed")) for lane in lanes} == {SPEEDS[plan.road.name]}  # in bends as well
     # otherwise SUMO's drivers slow down before minor connections until they are 4.5 m from them, in order to see
     assert [float(way.get("visibility")) for way in ways] == [200.0] * len(plan.connections)
-    # lane changes are left to the drivers
-    assert not any(lane.get("changeLeft") or lane.get("changeRight") for lane in lanes)
+    # lane changes are left to the drivers, but for those to lanes that nobody may change to
+    closed = {
+        (lane.get("id"), key) for lane in lanes for key in ("changeLeft", "changeRight") if lane.get(key)
+    }
+    net = mapping.network(plan.road)
+    assert closed == {
+        (net.lanes[start, end, lane].id, key)
+        for start, end, lane in plan.road.lanes
+        for side, key in ((-1, "changeLeft"), (1, "changeRight"))
+        if (start, end, lane + side) in plan.road.lanes and plan.road.beside((start, end, lane), side) is None
+    }
+    assert all(
+        lane.get(key) == plans.NOBODY
+        for lane in lanes
+        for key in ("changeLeft", "changeRight")
+        if lane.get(key)
+    )
     # at junctions that are `unregulated` SUMO checks no collisions
     assert {junction.get("type") for junction in root.iter("junction")} <= {"priority", "dead_end"}
     # no turn is split by an internal junction

@@ -12,7 +12,14 @@ from sumo_env.networks.mapping import network
 from tests.tasks import every_task
 
 pytest.importorskip("libsumo")
-SPEED = {"highway": 30.0, "two-way": 30.0, "roundabout": 20.0, "intersection": 9.0, "u-turn": 24.0}  # [m/s]
+SPEED = {
+    "highway": 30.0,
+    "two-way": 30.0,
+    "roundabout": 20.0,
+    "intersection": 9.0,
+    "u-turn": 24.0,
+    "merge": 30.0,
+}  # [m/s]
 STEP = 0.1  # [s]
 
 
@@ -33,8 +40,8 @@ def _drive(task: str) -> list[dict]:
 
     records = []
     for index, lane in net.road.lanes.items():
-        if (task, index) == ("two-way", ("a", "b", 0)):
-            continue
+        if (task, index) == ("two-way", ("a", "b", 0)) or lane.forbidden:
+            continue  # no lane of SUMO's, and a ramp, at whose end stands who does not change lanes
         for key in [key for key in net.routes if key.startswith(f"{index[0]}-{index[1]}>")]:
             car, destination, s = f"{index} {key}", key.split(">")[1], min(lane.length / 2, 60.0)
             route, start, position = net.place(index, s, destination)
@@ -70,7 +77,14 @@ def _drive(task: str) -> list[dict]:
 
 
 # [m] In bends the body is a chord of the lane, its centre inside the curve: by 0.36 m at a radius of 9 m.
-MISPLACED = {"highway": 1e-6, "two-way": 1e-6, "roundabout": 0.2, "intersection": 0.37, "u-turn": 0.17}
+MISPLACED = {
+    "highway": 1e-6,
+    "two-way": 1e-6,
+    "roundabout": 0.2,
+    "intersection": 0.37,
+    "u-turn": 0.17,
+    "merge": 0.1,
+}
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ def test_sumo_lanes_lie_on_highway_env_lanes_and_nobody_drives_off_an_end(task):
         if (task, index) == ("two-way", ("a", "b", 0)):
             continue  # driven the other way
         first_s, last_s = (lane.local_coordinates(*point)[0] for point in (points[0], points[-1]))
-        assert first_s < (plans.GAP if sumo_lane.preceding else -50 + 1e-9)
+        assert first_s < (plans.GAP + plans.OVERHANG if sumo_lane.preceding else -50 + 1e-9)
         is_exit = f"{index[0]}-{index[1]}" in last
         assert last_s > (lane.length + 399 - 1e-9 if is_exit else lane.length - plans.GAP)
 

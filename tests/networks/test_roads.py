@@ -20,6 +20,7 @@ ROADS = {
     "roundabout": (roads.roundabout(), envs.RoundaboutEnv, {}, {}),
     "intersection": (roads.intersection(), envs.IntersectionEnv, {}, {}),
     "u-turn": (roads.u_turn(), envs.UTurnEnv, {}, {}),
+    "merge": (roads.merge(), envs.MergeEnv, {}, {}),
 }
 
 
@@ -36,6 +37,7 @@ def pair(request):
     env = SimpleNamespace(config=config, np_random=np.random.default_rng(0))
     make = cls._create_road if cls is envs.HighwayEnv else cls._make_road
     make(env, **arguments)
+    env.road.network.boxes = env.road.objects
     return ours, env.road.network
 
 
@@ -56,6 +58,23 @@ def test_same_lanes_in_the_same_order(pair):
         mine = ours.lane(index)
         assert mine.length == pytest.approx(lane.length, abs=1e-9)
         assert (mine.speed_limit, mine.priority, mine.width) == (lane.speed_limit, lane.priority, lane.width)
+        assert mine.forbidden == lane.forbidden
+
+
+def test_same_obstacles(pair):
+    ours, theirs = pair
+    assert [tuple(box.position) for box in theirs.boxes] == list(ours.obstacles)
+
+
+def test_who_may_change_to_which_lane(pair):
+    """As highway-env lets vehicles change that are beside the lane."""
+    ours, theirs = pair
+    for index, lane in theirs.lanes_dict().items():
+        middle = lane.position(lane.length / 2, 0.0)
+        allowed = [
+            other for other in theirs.side_lanes(index) if theirs.get_lane(other).is_reachable_from(middle)
+        ]
+        assert [other for side in (-1, 1) if (other := ours.beside(index, side))] == allowed
 
 
 def test_same_curves(pair):

@@ -56,6 +56,7 @@ def ego_state(env: ScenarioEnv, action: int | None) -> EgoState:
         action=action,
         crashed=bool(ego.crashed),
         on_road=road.lane(index).covers(s, lateral),
+        scene=scene,
     )
 
 

@@ -15,7 +15,9 @@ from tests.processes import python
 from tests.sumo_env.rollout import digest, record, rollout
 from tests.tasks import every_task
 
-CROWDED: dict[str, dict[str, Any]] = {name: list(task.levels.values())[1] for name, task in TASKS.items()}
+CROWDED: dict[str, dict[str, Any]] = {
+    name: list(task.levels.values())[:2][-1] for name, task in TASKS.items()
+}
 CASES = [(task, 5, {**CROWDED[task], "risk": risk}) for task in TASKS for risk in (0.0, 1.0)]
 
 

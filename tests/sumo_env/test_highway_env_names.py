@@ -17,13 +17,13 @@ import sumo_env
 from sumo_env import hints
 from sumo_env.config import IGNORED, ignore
 from sumo_env.env import DrivingEnv
-from sumo_env.envs import HighwayEnv, HighwayEnvFast, IntersectionEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
+from sumo_env.envs import HighwayEnv, HighwayEnvFast, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.interface import tell_of_lanes
 from sumo_env.tasks import TASKS
 from tests.tasks import every_task
 
-CLASSES = (HighwayEnv, TwoWayEnv, RoundaboutEnv, IntersectionEnv, UTurnEnv)
+CLASSES = tuple(getattr(sumo_env.envs, task.reference) for task in TASKS.values())
 
 
 # -- keys ----------------------------------------------------------------------------------------------------
@@ -160,9 +160,9 @@ def test_what_would_never_be_called_is_refused_with_its_page() -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_an_id_that_is_not_here_may_be_registered() -> None:
-    sumo_env.register("sumo/merge-v0", "u-turn")
-    gym.make("sumo/merge-v0")
-    del gym.registry["sumo/merge-v0"]
+    sumo_env.register("sumo/exit-v0", "u-turn")
+    gym.make("sumo/exit-v0")
+    del gym.registry["sumo/exit-v0"]
 
 
 # -- what is read --------------------------------------------------------------------------------------------
@@ -255,10 +255,13 @@ def alike(ours: Any, theirs: Any) -> None:
         assert (a.length, a.width_at(0), a.heading_at(2.0)) == pytest.approx(
             (b.length, b.width_at(0), b.heading_at(2.0))
         )
-    here = {tuple(np.round(vehicle.position, 4)): vehicle for vehicle in ours.road.vehicles}
-    pairs = {id(vehicle): here[tuple(np.round(vehicle.position, 4))] for vehicle in theirs.road.vehicles}
+    here, there = ((*road.vehicles, *road.objects) for road in (ours.road, theirs.road))
+    places = {tuple(np.round(vehicle.position, 4)): vehicle for vehicle in here}
+    pairs = {id(vehicle): places[tuple(np.round(vehicle.position, 4))] for vehicle in there}
     pairs[id(None)] = None
     assert pairs[id(theirs.controlled_vehicles[0])] is ours.controlled_vehicles[0] is ours.vehicle
+    for box in theirs.road.objects:
+        same_kind(pairs[id(box)], box)
     for vehicle in theirs.road.vehicles:
         own = pairs[id(vehicle)]
         same_kind(own, vehicle)

@@ -126,6 +126,14 @@ SHEETS: dict[str, Sheet] = {
         drivers={"lane_changes": SWITCH, "assertive": Between(0.5, 1.3)},
         risk={**up_to(cut_in=0.6, brake=0.3), **CLOSER, "decel": FACTOR},
     ),
+    # In no published study. The ego starts at its top speed.
+    "merge": Sheet(
+        return_range=17.0,  # at most 1 a step, and 17 steps to the end at the lowest speed
+        episode_length=13,
+        egos_without=frozenset({"faster"}),
+        drivers={"assertive": Between(0.5, 1.3), "sideways": Between(0.1, 0.6)},
+        risk=up_to(cut_in=0.3, brake=0.3),
+    ),
 }
 # The paper's settings: names of the traffic levels by task, the lightest first.
 GRID: dict[str, tuple[str, ...]] = {

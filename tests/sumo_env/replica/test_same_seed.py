@@ -19,7 +19,7 @@ from tests.tasks import every_task
 
 from .pairs import differences
 
-FEW = {"highway": 1, "two-way": 3, "roundabout": 3, "intersection": 3, "u-turn": 3}
+FEW = {"highway": 1, "two-way": 3, "roundabout": 3, "intersection": 3, "u-turn": 3, "merge": 3}
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
 SHUFFLED = {**TABLE, "order": "shuffled"}
@@ -42,6 +42,13 @@ CONFIGS: dict[str, list[dict[str, Any]]] = {
     "u-turn": [
         {"observation": {**TABLE, "absolute": True, "normalize": False}},
         {"neighbour_vehicles_connected_lanes": True, "action": LADDER},
+    ],
+    "merge": [
+        {"neighbour_vehicles_connected_lanes": True, "action": LADDER},
+        {
+            "observation": {**TABLE, "include_obstacles": False, "see_behind": True},
+            "merging_speed_reward": -2,
+        },
     ],
 }
 

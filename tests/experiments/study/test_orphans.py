@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import time
 from pathlib import Path
-from threading import Timer
 
 import pytest
 
 from experiments.study.compute.executors import local
-from experiments.study.compute.executors.local import LocalExecutor
 from tests.processes import children, is_alive, python, started, wait_for
 
 # Workers in a call into C that never gives the interpreter back, as in a compiler.
@@ -44,26 +41,6 @@ def test_workers_that_hold_the_interpreter_end_with_their_parent(tmp_path: Path,
     os.kill(process.pid, number)
     process.communicate(timeout=30)
     wait_for(lambda: not any(map(is_alive, found)), 30)
-
-
-def leave_slowly(started: Path) -> None:
-    """Take a while to end, as a process with many libraries does."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    started.touch()
-    time.sleep(600)
-
-
-@pytest.mark.slow
-def test_a_worker_that_is_still_starting_is_stopped_without_a_traceback(tmp_path: Path, capfd) -> None:
-    executor = LocalExecutor(2)
-    executor.submit(leave_slowly, tmp_path / "started")
-    first, second = sorted(process.pid or 0 for process in multiprocessing.active_children())
-    os.kill(second, signal.SIGSTOP)  # before it has read what it is to do
-    wait_for((tmp_path / "started").exists, 60)
-    Timer(0.5, os.kill, [second, signal.SIGCONT]).start()  # while the other one is being ended
-    executor.shutdown(cancel_futures=True)
-    assert not is_alive(first) and not is_alive(second)
-    assert capfd.readouterr().err == ""
 
 
 def watch_without_fcntl(started: Path) -> None:

@@ -13,7 +13,6 @@ from sumo_env.simulator import EgoCommand
 from sumo_env.tasks import network
 from sumo_env.traffic.drivers import RISK_RANGES
 from tests.sumo_env.plans import build, needs_sumo, route_file
-from tests.sumo_env.scenario.test_oracle import driven, fronts
 
 pytestmark = needs_sumo
 PLAN = ("a 0 0, b 3000 0, c 4000 0", "ab a b 3 25, bc b c 3 25")
@@ -98,20 +97,6 @@ def test_bicycles_and_parameters_that_a_model_lacks_are_left_alone(road: tuple[P
     for name, before in values[0].items():
         assert values[1][name][:3] == before[:3]
         assert (values[1][name][3] == before[3]) == name.startswith("b.")
-
-
-def test_at_risk_0_everybody_is_where_they_are_without_this_package(road: tuple[Path, Path]) -> None:
-    """`test_oracle` compares with ``sumo``; here risk 0 is compared with a dose that is nearly 0."""
-    ways = []
-    for dose in (0.0, 1e-9):
-        env = SumoDrivingEnv(*road, ego_vehicle="f.3", config={"risk": dose, "duration": 60})
-        env.reset(seed=2)
-        ways.append([fronts(scene) for _, scene in driven(env, 20)])
-    assert ways[0][-1].keys() == ways[1][-1].keys()
-    assert (
-        max(abs(one[name][0] - other[name][0]) for one, other in zip(*ways, strict=True) for name in one)
-        < 1.0
-    )
 
 
 def test_nobody_cuts_in_where_a_lorry_is(tmp_path: Path) -> None:

@@ -104,17 +104,25 @@ def sweep(
             return compute_one(options.cell, mine, options.directory, make_env)
         Store(options.directory).write_sweep(again, cells)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
-        if len(failures) < len(mine) == len(cells):  # a shard alone is no study to report
-            from experiments.report import print_report
+        try:
+            if len(failures) < len(mine) == len(cells):  # a shard alone is no study to report
+                report(options.directory, strict=not failures)
+        finally:
+            status = say_failures(failures, options.directory, again)
+    return status
 
-            print("writing the report", flush=True)
-            try:
-                print_report(options.directory)
-            except UserError as error:
-                if not failures:
-                    raise
-                print(f"no report: {error}", file=sys.stderr)
-    return say_failures(failures, options.directory, again)
+
+def report(directory: Path, strict: bool) -> None:
+    """Write the report; where it is not strict, what stands against one is only said."""
+    from experiments.report import print_report
+
+    print("writing the report", flush=True)
+    try:
+        print_report(directory)
+    except UserError as error:
+        if strict:
+            raise
+        print(f"no report: {error}", file=sys.stderr)
 
 
 def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> None:

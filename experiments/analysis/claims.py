@@ -108,7 +108,8 @@ def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     effects = effects[plan.covers(effects) & (effects["scenarios"] == "own")]
     ends = {(task, names[at]): where for task, names in GRID.items() for where, at in ENDS.items()}
     places = zip(effects["task"], effects["level_name"], strict=True)
-    effects = effects.assign(where=[ends.get(place, "") for place in places])
+    where = pd.Series([ends.get(place, "") for place in places], effects.index, "str")
+    effects = effects.assign(where=where)  # text, also without a row
     columns = [field.name for field in fields(Bound)]
     bounds = pd.DataFrame(plan.price, columns=columns)
     asked = effects.merge(bounds)

@@ -233,6 +233,11 @@ class TestIncomplete:
         assert said.startswith("- 2 cells that a sweep has asked for are missing") and "No answer" in said
         assert "|" not in (tmp_path / "report.md").read_text()  # no table without rows
 
+    def test_no_agent(self, tmp_path):
+        """As where all of them have diverged."""
+        page = write(tmp_path, {"u-turn": (1,)}, seeds=1, tests=4, arms=())
+        assert "no agents of both arms to compare" in page.text
+
     def test_further_arms_are_drawn_and_told(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("told", "dose50"))
         report.write_report(tmp_path)

@@ -1,18 +1,26 @@
 """Draws the films and pictures of the tasks: ``python docs/films.py``.
 
 docs/img/environments/*.png   one moment of each task, as its page shows it
-docs/img/films/*.gif          up to 12 s of each task at risk 1, all of one size
+docs/img/films/*.gif          up to 12 s of each task at risk 1, in the first scenario with early danger
 docs/img/risk.gif             one scenario at risk 0 and at risk 1
 
-``python docs/films.py town`` trains an agent of examples/arrive.py in Braunschweig: docs/img/films/town.gif
+``python docs/films.py films`` draws the second line alone, ``python docs/films.py town`` docs/img/films/town.gif by the
+script of docs/scenarios.md.
 """
 
 from __future__ import annotations
 
+import os
+import re
+import shutil
+import subprocess
 import sys
 import tempfile
+from itertools import count
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[0] = str(ROOT)
@@ -32,14 +40,17 @@ PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
     "u-turn": (1, 3, {"scaling": 4.5, "centering_position": [0.35, 0.85]}),
 }
 SIZE = {"screen_width": 280, "screen_height": 200}
-# task -> seed, policy, configuration of its film
-FILMS: dict[str, tuple[int, str, dict[str, Any]]] = {
-    "highway": (8, "careful", {"scaling": 4.0, "centering_position": [0.35, 0.5]}),
-    "two-way": (4, "careful", {"scaling": 4.0, "centering_position": [0.35, 0.5]}),
-    "roundabout": (2, "careful", {"scaling": 2.8, "centering_position": [0.5, 0.7]}),
-    "intersection": (4, "careful", {"scaling": 3.4, "centering_position": [0.5, 0.65]}),
-    "u-turn": (11, "careful", {"scaling": 2.2, "centering_position": [0.4, 0.75]}),
+# task -> configuration of its film
+FILMS: dict[str, dict[str, Any]] = {
+    "highway": {"scaling": 4.0, "centering_position": [0.35, 0.5]},
+    "two-way": {"scaling": 4.0, "centering_position": [0.35, 0.5]},
+    "roundabout": {"scaling": 2.8, "centering_position": [0.5, 0.7]},
+    "intersection": {"scaling": 3.4, "centering_position": [0.5, 0.65]},
+    "u-turn": {"scaling": 2.2, "centering_position": [0.4, 0.75]},
 }
+DRIVER = "careful"
+NEAR = 30.0  # [m] to a car that is in the picture
+EARLY, LEAST = 3, 8  # [s] until the first near miss, and that the ego drives at least
 BESIDE: tuple[str, int, str, dict[str, Any]] = (
     "u-turn", 2, "careful",
     {"screen_width": 400, "screen_height": 240, "scaling": 2.9, "centering_position": [0.4, 0.8]},
@@ -61,6 +72,30 @@ def film(task: str, seed: int, name: str, config: dict[str, Any], seconds: int =
     return recorded.pictures
 
 
+def with_danger(task: str) -> int:
+    """The first seed with a near miss, and a car in a risk event within sight of it, in the first seconds."""
+    env = DrivingEnv(task, {"risk": 1.0})
+    policy = make_policy(DRIVER, env)
+    for seed in count():
+        observation, _ = env.reset(seed=seed)
+        policy.reset(seed)
+        dangerous = False
+        for second in range(1, LEAST + 1):
+            observation, _, terminated, truncated, info = env.step(policy.act(observation))
+            scene = env.scene
+            apart = np.hypot(scene.x - scene.x[0], scene.y - scene.y[0]).tolist()
+            acting = any(
+                name in scene.in_event for name, far in zip(scene.ids, apart, strict=True) if far < NEAR
+            )
+            dangerous = dangerous or (second <= EARLY and info["near_miss"] and acting)
+            if terminated or truncated:
+                break
+        if dangerous and second == LEAST:
+            break
+    env.close()
+    return seed
+
+
 def environments() -> None:
     """One frame for the page of each task."""
     for task, (seed, steps, config) in PAGES.items():
@@ -71,8 +106,11 @@ def environments() -> None:
 
 def films() -> None:
     """One film of each task."""
-    for task, (seed, name, config) in FILMS.items():
-        save_gif(film(task, seed, name, {**SIZE, **config, "risk": 1.0}), IMAGES / "films" / f"{task}.gif")
+    for task, config in FILMS.items():
+        seed = with_danger(task)
+        print(f"{task}: seed {seed}")
+        pictures = film(task, seed, DRIVER, {**SIZE, **config, "risk": 1.0})
+        save_gif(pictures, IMAGES / "films" / f"{task}.gif")
 
 
 def risk() -> None:
@@ -83,30 +121,24 @@ def risk() -> None:
     save_gif(side_by_side(both), IMAGES / "risk.gif")
 
 
-def town(seed: int = 10_000, seconds: int = 60) -> None:
-    """An agent of examples/arrive.py in Braunschweig, from its departure to its arrival; needs eclipse-sumo."""
-    from examples.arrive import STEPS, make, own_dqn
-
-    size = {"screen_width": 420, "screen_height": 260, "scaling": 3.0}
+def town() -> None:
+    """The film that the script of docs/scenarios.md makes; needs eclipse-sumo and Stable-Baselines3."""
+    page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    (script,) = (
+        block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "town.gif" in block
+    )
     with tempfile.TemporaryDirectory() as folder:
-        env = make("town", folder, render_mode="rgb_array")
-        act = own_dqn(env, 0, STEPS["dqn"])
-        env.configure(size)
-        recorded = Film(env)
-        observation, _ = env.reset(seed=seed)
-        for _ in range(seconds):
-            observation, _, terminated, _, info = env.step(act(observation))
-            recorded.frame()
-            if terminated:
-                print("arrived" if info["arrived"] else info)
-                break
-        env.close()
-    save_gif(recorded.pictures[::2], IMAGES / "films" / "town.gif")  # at twice the speed
+        paths = {**os.environ, "PYTHONPATH": str(ROOT)}
+        subprocess.run([sys.executable, "-c", script], cwd=folder, env=paths, check=True)
+        shutil.copy(Path(folder) / "town.gif", IMAGES / "films")
 
 
 if __name__ == "__main__":
     if "town" in sys.argv:
         town()
+        sys.exit()
+    if "films" in sys.argv:
+        films()
         sys.exit()
     environments()
     films()

@@ -53,15 +53,15 @@ def draw(scene: Scene, road: Road, view: Mapping[str, Any], notes: Notes | None 
         x, y = camera.place(scene.x.item(row), scene.y.item(row)).tolist()
         box = round(x - reach), round(y - reach), round(x + reach), round(y + reach)
         pen.ellipse(box, outline=COLOURS[mark.kind], width=max(round(camera.scale * 0.4), 2))
-        labels.append((x, y - reach, mark))
+        labels.append((x, y - reach, radius[mark.name] - RING, mark))
     picture = canvas.reduce(SUPERSAMPLING)
     pen, size = (
         ImageDraw.Draw(picture, "RGBA"),
         9 if picture.height < 100 else min(12 + picture.height // 50, 20),
     )
     font = _font(size)
-    for x, y, mark in labels:
-        place = x / SUPERSAMPLING, y / SUPERSAMPLING - size * (radius[mark.name] > RING)
+    for x, y, below, mark in labels:  # above those of the same vehicle
+        place = x / SUPERSAMPLING, y / SUPERSAMPLING - size * below
         pen.text(place, mark.text, COLOURS[mark.kind], font, "mb", stroke_width=2, stroke_fill=FILM.outline)
     top, background = 5.0, (*FILM.outline, 235)
     for kind, text in notes.lines:

@@ -21,12 +21,7 @@ SUMO_DRIVES = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": 
 KEY = "overlaps_are_crashes"
 
 ROAD = '<node id="a" x="0" y="0"/><node id="b" x="300" y="0"/>'
-# the right lane is drawn 8 m ahead of the left one
-STAGGERED = (
-    ROAD,
-    '<edge id="ab" from="a" to="b" numLanes="2" speed="20" length="300">'
-    '<lane index="0" shape="8,-4.8 308,-4.8"/></edge>',
-)
+TWO = ROAD, '<edge id="ab" from="a" to="b" numLanes="2" speed="20"/>'
 WIDE = ROAD, '<edge id="ab" from="a" to="b" numLanes="3" speed="20"/>'
 CROSSING = (
     '<node id="w" x="-100" y="0"/><node id="e" x="100" y="0"/><node id="s" x="0" y="-100"/>'
@@ -49,17 +44,40 @@ def stand(env: SumoDrivingEnv, route: list[str], lane: str, position: float) -> 
     vehicle.setSpeed("another", 0.0)
 
 
-@pytest.mark.parametrize(("behind", "crashes"), [(0.5, False), (5.0, True)])
+def drawn_elsewhere(net: Path, lane: str, shape: str) -> Path:
+    """A network with another shape of a lane, which netconvert itself would make even."""
+    text = net.read_text()
+    assert lane in text
+    net.write_text(text.replace(lane, shape))
+    return net
+
+
+@pytest.mark.parametrize("by_sumo", [False, True])
+def test_lanes_that_are_drawn_over_each_other(tmp_path: Path, by_sumo: bool) -> None:
+    """Who drives past a car there crashes by command; where SUMO drives, which sees two lanes, nobody does."""
+    net = drawn_elsewhere(build(tmp_path, TWO), "0.00,-1.60 300.00,-1.60", "0.00,-4.00 300.00,-4.00")
+    config = {**QUIET, "initial_speed": 5, **({"action": SUMO_DRIVES} if by_sumo else {})}
+    with closing(SumoDrivingEnv(net, [["ab"]], ["ab"], config)) as env:
+        env.reset(seed=0)
+        stand(env, ["ab"], "ab_1", 60.0)
+        infos = [result[-1] for result in drive(env, 0 if by_sumo else FASTER)]
+    assert infos[-1]["crash"].get("detected_by") == (None if by_sumo else "geometry")
+    assert {info["overlap"] for info in infos} - {""} == ({"another"} if by_sumo else set())
+
+
+@pytest.mark.parametrize(("ahead", "crashes"), [(-4.6, False), (-1.0, True)])
 def test_a_lane_change_that_sumo_makes_at_once_sweeps_nothing(
-    tmp_path: Path, behind: float, crashes: bool
+    tmp_path: Path, ahead: float, crashes: bool
 ) -> None:
     """From beside a car to a place before it that is free; where the place is taken, it is a crash."""
-    net = build(tmp_path, STAGGERED)
+    net = drawn_elsewhere(build(tmp_path, TWO), "0.00,-4.80 300.00,-4.80", "8.00,-4.80 308.00,-4.80")
     config = {**QUIET, "policy_frequency": 10, "initial_speed": 5}
     with closing(SumoDrivingEnv(net, [["ab"]], ["ab"], config)) as env:
         env.reset(seed=0)
-        env.sumo.vehicle.moveTo("ego", "ab_1", 60.0)
-        stand(env, ["ab"], "ab_0", 54.5 + behind)
+        env.sumo.vehicle.moveTo("ego", "ab_0", 60.0)
+        env.step(LEFT)
+        assert env.sumo.vehicle.getLaneID("ego") == "ab_1"
+        stand(env, ["ab"], "ab_0", env.sumo.vehicle.getLanePosition("ego") + ahead)
         env.step(IDLE)
         info = env.step(RIGHT)[-1]
         assert env.sumo.vehicle.getLaneID("ego") == "ab_0"

@@ -137,7 +137,7 @@ def test_no_link_is_followed(results: Path, tmp_path: Path, place: str) -> None:
 
 # The name of a link in a folder, and what writes there in its place.
 OUTPUTS: dict[str, Callable[[Path], Any]] = {
-    f".out.json.{os.getpid()}.tmp": lambda folder: atomic(folder / "out.json"),
+    ".out.json.{pid}.tmp": lambda folder: atomic(folder / "out.json"),
     "film.gif": lambda folder: save_gif([Image.new("RGB", (4, 4))], folder / "film.gif"),
     LOG: lambda folder: log(folder, "words"),
     PROGRESS: lambda folder: watched(folder, 60.0),
@@ -150,7 +150,7 @@ OUTPUTS: dict[str, Callable[[Path], Any]] = {
 def test_a_link_in_the_place_of_an_output_is_not_followed(name: str, tmp_path: Path) -> None:
     precious, folder = tmp_path / "precious", made(tmp_path / "folder")
     precious.write_text("mine")
-    (folder / name).symlink_to(precious)
+    (folder / name.format(pid=os.getpid())).symlink_to(precious)
     with OUTPUTS[name](folder) or nullcontext():
         pass
     assert precious.read_text() == "mine"

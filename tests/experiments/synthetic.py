@@ -31,6 +31,8 @@ BEHAVIOUR = {
     "slower": (0.1, 0.6, 12.0),
     "idm": (0.2, 0.78, 19.0),
     "careful": (0.03, 0.82, 18.0),
+    "planner": (0.01, 0.85, 19.0),
+    "sumo": (0.3, 0.8, 21.0),
     "dqn": (0.25, 0.85, 20.0),
 }
 
@@ -144,7 +146,7 @@ def write(
             "provenance": {"packages": {"libsumo": "1.28.0"}, "cpu": "a processor", "git": "0123abc"},
         }
         files: dict[str, Any] = {EPISODES: episodes(cell, effect, spread)}
-        if cell.kind != "test":
+        if cell.test_on is None:
             # sound agents pass, whatever the effect
             files[GATES] = episodes(cell, 0.0, spread, "gate")
         if cell.kind == "agent":

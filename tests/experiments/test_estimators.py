@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import torch
 
 from agents.belief import Estimator
 from agents.plugins import sha256
 from experiments import estimators as command
+from experiments.estimators import published
 from experiments.study.design import estimators
 from experiments.support.errors import UserError
 
@@ -19,7 +21,7 @@ def test_a_setting_gets_its_estimator_and_a_row(
 ) -> None:
     """From few scenarios, so that it is no good; but another time the same."""
     monkeypatch.setattr(estimators, "FOLDER", tmp_path / "estimators")
-    monkeypatch.setitem(command.SCENARIOS, "u-turn-3", 4)
+    monkeypatch.setitem(command.SCENARIOS, "u-turn", 4)
     monkeypatch.setattr(command, "HELD_OUT", 3)
     found = []
     for _ in range(2):
@@ -29,6 +31,13 @@ def test_a_setting_gets_its_estimator_and_a_row(
     table = pd.read_csv(tmp_path / "estimators" / "estimators.csv")
     assert table[["setting", "episodes", "held_out"]].to_numpy().tolist() == [["u-turn-3", 8, 6]]
     assert Estimator.load(tmp_path / "estimators" / "u-turn-3.npz").traces.shape[0] == 6
+
+
+def test_published_agents_drive_or_those_of_the_lightest_setting() -> None:
+    """Of the densest two-way road there are none."""
+    weights = [published("two-way", level)[0].network.state_dict() for level in (1, 3)]
+    assert all(torch.equal(own, weights[1][name]) for name, own in weights[0].items())
+    assert len(published("u-turn", 4)) == len(command.DRIVERS)
 
 
 def test_a_setting_that_there_is_not_is_named() -> None:

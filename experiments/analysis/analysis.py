@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from itertools import product
 from pathlib import Path
@@ -33,10 +33,9 @@ from experiments.study.results.store import Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 
-SCHEMA = 3
+SCHEMA = 4
 BOTH = ("treatment", "control")
 ONE_TRAFFIC = ("risky", "regular")
-CRASHES = [("crashed", term) for term in ONE_TRAFFIC]
 # Comparisons in addition to the plan's: further arms, and the rule driver that is the mark to beat, as (arm, against).
 FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
 FURTHER_COMPARISONS = [*FURTHER, *((arm, "careful") for arm in ARMS)]
@@ -50,11 +49,11 @@ LEAST = 4  # control agents of a setting that can be dealt into two arms
 class Analysis:
     """What an analysis finds, as frames whose columns the functions of these names document.
 
-    effects, means: of all comparisons (arm, against; tested_on; scenarios). plan, plan_hash: see `plan.as_data`. notes:
-    missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their reasons, and stage, the
-    last one of the plan that is complete. primary: see `claims.primary`. price, learner (see `gates.learner_checks`):
-    empty where the plan does not ask for them. frontier: see `frontier.to_frontier`. by_task: see `by_task.by_task`.
-    influence: see `influence.influence`; empty without pairs.
+    effects, means: of all comparisons (arm, against) on the simulator of the training. plan, plan_hash: see
+    `plan.as_data`. notes: missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their
+    reasons, and stage, the last one of the plan that is complete. primary: see `claims.primary`. price, learner (see
+    `gates.learner_checks`): empty where the plan does not ask for them. frontier: see `frontier.to_frontier`. by_task:
+    see `by_task.by_task`. influence: see `influence.influence`; empty without pairs.
     """
 
     effects: pd.DataFrame
@@ -107,7 +106,6 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     beside = [
         contrasts(everybody, dict.fromkeys(FURTHER_COMPARISONS, SHOWN)),
         contrasts(arms_of(pairs.units(episodes)), dict.fromkeys(pairs.COMPARED, SHOWN)),
-        *transfers(episodes),
     ]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
     mean = [
@@ -155,17 +153,6 @@ def careful(episodes: pd.DataFrame) -> pd.DataFrame:
     """The test episodes of the careful driver, who follows fixed rules, as those of the one agent of an arm."""
     rule = episodes[(episodes["policy"] == "careful") & (episodes["kind"] == "baseline")]
     return rule.assign(seed=0, arm="careful")
-
-
-def transfers(episodes: pd.DataFrame) -> Iterator[pd.DataFrame]:
-    """Effects in the tests of agents on another simulator, and on the same scenarios of their own."""
-    agents = own_agents(episodes)
-    tests = episodes[(episodes["kind"] == "test") & (episodes["tested_on"] != episodes["backend"])]
-    for other in sorted({*tests["tested_on"]}):
-        away = tests[tests["tested_on"] == other].merge(agents[AGENT].drop_duplicates())
-        home = agents.merge(away[[*AGENT, "traffic", "scenario"]])
-        yield contrasts(arms_of(away), {BOTH: CRASHES}, tested_on=other, scenarios=other)
-        yield contrasts(arms_of(home), {BOTH: CRASHES}, scenarios=other)
 
 
 def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:

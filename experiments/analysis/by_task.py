@@ -6,18 +6,17 @@ without each task in turn, because one task can make it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import chain
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import pandas as pd
 
-from experiments.analysis import estimate, pairs
+from experiments.analysis import estimate
 from experiments.analysis.effects import COMPARISON, ESTIMATE, MEANS, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Outcome, Plan
 from experiments.analysis.scores import SETTING, in_order, once_each
-from experiments.study.design.arms import PAIRS, REGISTERED
+from experiments.study.design.arms import ARMS
 
 HARD = 10.0  # closing speed from which a crash is hard [m/s]
 
@@ -46,13 +45,11 @@ COLUMNS: dict[str, Outcome] = {
     **{name: OUTCOMES[name] for name in ("mean_speed", "return")},
     "entered": OWN["entered"],
 }
-ASKED = [("treatment", "control"), ("mixed", "control")]
-ASKED_OF_PAIRS = [(REGISTERED, arm) for arm in ("treatment", "control")]
-ROW = [*COMPARISON, "scope", "outcome", "traffic", *ESTIMATE, *MEANS, "settings"]
+ROW = [*COMPARISON, "tested_on", "scope", "outcome", "traffic", *ESTIMATE, *MEANS, "settings"]
 
 
 def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
-    """Differences between arms in all COLUMNS, task by task.
+    """Differences between treatment and control in all COLUMNS, task by task.
 
     Args:
         episodes: as from `scores.with_outcomes`, with the columns of OWN. plan: whose settings are averaged.
@@ -62,51 +59,44 @@ def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
         every task), outcome and traffic, also one that nobody was trained in: ESTIMATE, MEANS and settings (their
         number). Agents that are not there at home count nowhere.
     """
-    agents = episodes[episodes["kind"] == "agent"]
-    known = agents[[*SETTING, "arm", "seed"]].drop_duplicates()
-    tests = episodes[(episodes["kind"] == "test") & ~episodes["arm"].isin(list(PAIRS))].merge(known)
-    rows = [*_effects(pd.concat([agents, tests]), ASKED), *_effects(pairs.units(episodes), ASKED_OF_PAIRS)]
-    if not rows:
+    rows = episodes[episodes["arm"].isin(ARMS)]
+    agents = rows[rows["kind"] == "agent"]
+    tests = rows[rows["kind"] == "test"].merge(agents[[*SETTING, "arm", "seed"]].drop_duplicates())
+    effects = pd.DataFrame(_effects(pd.concat([agents, tests])))
+    if effects.empty:
         return pd.DataFrame(columns=ROW)
-    effects = pd.DataFrame(rows).assign(scenarios="own")
-    poolable = effects[effects["outcome"].isin([name for name, one in COLUMNS.items() if one.poolable])]
-    found = [
-        means(effects, plan, outcomes=COLUMNS),
-        means(poolable, plan, leave_one_out=True, outcomes=COLUMNS),
-    ]
+    found = []
+    for simulator, here in effects.groupby("tested_on", sort=False):
+        poolable = here[here["outcome"].isin([name for name, one in COLUMNS.items() if one.poolable])]
+        both = [means(here, plan, outcomes=COLUMNS), means(poolable, plan, True, COLUMNS)]
+        found += [frame.assign(tested_on=simulator) for frame in both]
     return pd.concat(found, ignore_index=True).rename(columns={"term": "traffic"})[ROW]
 
 
-def _effects(rows: pd.DataFrame, asked: list[tuple[str, str]]) -> Iterator[dict[str, Any]]:
+def _effects(rows: pd.DataFrame) -> Iterator[dict[str, Any]]:
     """Of every setting, simulator and traffic of the tests the rows that `effects.means` averages."""
     place = [*SETTING, "tested_on", "traffic"]
-    rows = rows[rows["arm"].isin({*chain(*asked)})]
-    for names, group in in_order(rows, "backend", "task", "level", "seed", "scenario").groupby(
-        place, sort=False
-    ):
+    rows = in_order(rows, "backend", "task", "level", "seed", "scenario")
+    for names, group in rows.groupby(place, sort=False):
         arms = {str(arm): own for arm, own in once_each(group).groupby("arm", sort=False)}
-        for arm, against in asked:
-            if {arm, against} <= arms.keys():
-                label = {**dict(zip(place, names, strict=True)), "arm": arm, "against": against}
-                label["term"] = label.pop("traffic")
-                for outcome, kind in COLUMNS.items():
-                    if group[outcome].notna().all():
-                        found = _contrast(arms[arm], arms[against], outcome, kind.percent, arm in PAIRS)
-                        yield {**label, "outcome": outcome, **found}
+        if len(arms) < len(ARMS):
+            continue
+        label = {**dict(zip(place, names, strict=True)), "arm": "treatment", "against": "control"}
+        label["term"] = label.pop("traffic")
+        for outcome, kind in COLUMNS.items():
+            if group[outcome].notna().all():
+                both = [arms[name] for name in ("treatment", "control")]
+                yield {**label, "outcome": outcome, **_contrast(both, outcome, kind.percent)}
 
 
-def _contrast(
-    arm: pd.DataFrame, against: pd.DataFrame, outcome: str, floored: bool, paired: bool
-) -> dict[str, Any]:
+def _contrast(both: Sequence[pd.DataFrame], outcome: str, floored: bool) -> dict[str, Any]:
     """One arm minus the other on the same scenarios: a `Mean`, and MEANS.
 
     Args:
-        arm, against: episodes sorted by seed and scenario. floored: of a share of episodes, which has a least variance.
-        paired: the difference is taken within each seed.
+        both: their episodes, sorted by seed and scenario. floored: of a share of episodes, which has a least variance.
     """
-    tables = [own[outcome].to_numpy(dtype=float).reshape(own["seed"].nunique(), -1) for own in (arm, against)]
+    tables = [own[outcome].to_numpy(dtype=float).reshape(own["seed"].nunique(), -1) for own in both]
     floor = sum(estimate.binomial_floor([table]) for table in tables) if floored else 0.0
-    weighted = [(tables[0] - tables[1], 1.0)] if paired else [(tables[0], 1.0), (tables[1], -1.0)]
-    found = estimate.linear(weighted, floor)
+    found = estimate.linear([(tables[0], 1.0), (tables[1], -1.0)], floor)
     values = [*(float(table.mean()) for table in tables), *map(len, tables)]
     return {**found._asdict(), **dict(zip(MEANS, values, strict=True))}

@@ -83,11 +83,9 @@ def primary(means: pd.DataFrame, plan: Plan) -> pd.DataFrame:
         A row a backend, task (scope) and traffic (term): the columns of `means`, p_adjusted (Holm over the rows of a
         backend) and verdict: "less", "more" or "open".
     """
-    rows = means[(means["tested_on"] == means["backend"]) & (means["scenarios"] == "own")]
-    rows = rows[
-        (rows["arm"] == "treatment") & (rows["against"] == "control") & rows["scope"].isin(plan.tasks)
-    ]
-    rows = rows[(rows["outcome"] == plan.primary_outcome) & rows["term"].isin(TRAFFICS)]
+    rows = means[(means["arm"] == "treatment") & (means["against"] == "control")]
+    rows = rows[rows["scope"].isin(plan.tasks) & rows["term"].isin(TRAFFICS)]
+    rows = rows[rows["outcome"] == plan.primary_outcome]
     adjusted = rows.groupby("backend")["p"].transform(estimate.adjusted)
     side = np.select([~(adjusted < ALPHA), rows["estimate"] < 0], ["open", "less"], "more")
     return rows.assign(p_adjusted=adjusted, verdict=side).reset_index(drop=True)
@@ -105,7 +103,7 @@ def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
         detectable: the margin that would be kept to with the plan's power if there were no difference; speed_arm and
         speed_against [m/s], slow (see `Plan`), return_arm and return_against (NaN over tasks).
     """
-    effects = effects[plan.covers(effects) & (effects["scenarios"] == "own")]
+    effects = effects[plan.covers(effects)]
     ends = {(task, names[at]): where for task, names in GRID.items() for where, at in ENDS.items()}
     places = zip(effects["task"], effects["level_name"], strict=True)
     where = pd.Series([ends.get(place, "") for place in places], effects.index, "str")

@@ -27,9 +27,7 @@ from experiments.study.design.traffic import TRAFFICS
 
 ALL_TASKS = "all tasks"
 ESTIMATE = list(Estimate._fields)
-# What is compared: the simulator of the training and that of the test; whose scenarios ("own", or those that agents
-# were given on another simulator); the arms.
-COMPARISON = ["backend", "tested_on", "scenarios", "arm", "against"]
+COMPARISON = ["backend", "arm", "against"]
 QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
 MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
@@ -44,7 +42,6 @@ def contrasts(
     arms: Mapping[Setting, Arms],
     asked: Mapping[tuple[str, str], Iterable[tuple[str, str]]],
     signs: tuple[float, float] = (1.0, -1.0),
-    **labels: str,
 ) -> pd.DataFrame:
     """Effects: one arm minus another, or minus a policy that has no training, in every setting that has both.
 
@@ -53,13 +50,12 @@ def contrasts(
     Args:
         arms: from `scores.arms_of`. asked: (outcome, term) by (arm, against).
         signs: of the two arms in the sum.
-        labels: tested_on and scenarios, where they are not those of the training.
 
     Returns:
         A row an effect: KEY, ESTIMATE, mean_arm and mean_against, seeds_arm and seeds_against, and WORKING_COLUMNS.
     """
     rows = [
-        {**dict(zip(SETTING, setting, strict=True)), "tested_on": setting[0], "scenarios": "own", **labels}
+        dict(zip(SETTING, setting, strict=True))
         | {"arm": arm, "against": against, "outcome": outcome, "term": term}
         | _contrast(by_name, arm, against, outcome, term, signs)
         for setting, by_name in arms.items()

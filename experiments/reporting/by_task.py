@@ -27,7 +27,7 @@ WITHOUT_EVENTS = "only-parameters"
 
 def places(analysis: Analysis, backend: str) -> dict[tuple[str, str], str]:
     """Where both arms are tested, as (simulator, traffic), and the words for it: at home, without events, elsewhere."""
-    rows = chosen(analysis.by_task, backend=backend, arm="treatment")
+    rows = chosen(analysis.by_task, backend=backend)
     known = {(backend, traffic): f"{traffic} traffic" for traffic in reversed(TRAFFICS)}
     known[backend, WITHOUT_EVENTS] = "risky drivers, no events"
     for other in [name for name in BACKENDS if name != backend]:
@@ -53,7 +53,6 @@ def both_arms(row: Mapping[str, Any], between: str = "\n") -> str:
 def by_task(
     analysis: Analysis,
     backend: str,
-    arm: str = "treatment",
     away: bool = False,
     columns: Sequence[str] = tuple(COLUMNS),
     between: str = "\n",
@@ -65,7 +64,7 @@ def by_task(
     """
     where = places(analysis, backend)
     asked = list(where)[2:] if away else list(where)[:2]
-    rows = chosen(analysis.by_task, backend=backend, arm=arm, against="control", scope=list(TASK_ORDER))
+    rows = chosen(analysis.by_task, backend=backend, scope=list(TASK_ORDER))
     lines = []
     for task, own in rows.groupby("scope", sort=False):
         for simulator, traffic in asked:
@@ -80,13 +79,11 @@ def by_task(
     return pd.DataFrame(lines)
 
 
-def means_of_tasks(analysis: Analysis, backend: str, arm: str = "treatment") -> pd.DataFrame:
+def means_of_tasks(analysis: Analysis, backend: str) -> pd.DataFrame:
     """The difference in the crash rate as a mean over tasks, and without each task in turn."""
     where = places(analysis, backend)
     scopes = [ALL_TASKS, *(f"without {task}" for task in TASK_ORDER)]
-    rows = chosen(
-        analysis.by_task, backend=backend, arm=arm, against="control", outcome="crashed", scope=scopes
-    )
+    rows = chosen(analysis.by_task, backend=backend, outcome="crashed", scope=scopes)
     if rows["scope"].nunique() < 3:
         return pd.DataFrame()  # of one task there is no mean
     keys = zip(rows["tested_on"], rows["traffic"], strict=True)
@@ -97,21 +94,18 @@ def means_of_tasks(analysis: Analysis, backend: str, arm: str = "treatment") -> 
     return wide(rows, ["mean"], lambda row: {f"{row['where']} [points]": effect(row)})
 
 
-def sides(
-    analysis: Analysis, backend: str, outcome: str, place: tuple[str, str], arm: str = "treatment"
-) -> dict[str, list[str]]:
-    """The tasks in which an arm has "less" or "more" of an outcome than control, or it is "open".
+def sides(analysis: Analysis, backend: str, outcome: str, place: tuple[str, str]) -> dict[str, list[str]]:
+    """The tasks in which treated agents have "less" or "more" of an outcome than control agents, or it is "open".
 
     The primary outcome at home is decided with Holm's adjustment, everything else by intervals of 95 %.
     """
     found: dict[str, list[str]] = {"less": [], "more": [], "open": []}
-    home = place[0] == backend and place[1] in TRAFFICS and arm == "treatment"
-    if home and outcome in set(analysis.primary["outcome"]):
+    if place[0] == backend and place[1] in TRAFFICS and outcome in set(analysis.primary["outcome"]):
         for row in chosen(analysis.primary, backend=backend, term=place[1]).to_dict("records"):
             found[row["verdict"]].append(row["scope"])
         return found
-    rows = chosen(analysis.by_task, backend=backend, arm=arm, against="control", scope=list(TASK_ORDER))
-    rows = chosen(rows, outcome=outcome, tested_on=place[0], traffic=place[1])
+    rows = chosen(analysis.by_task, backend=backend, scope=list(TASK_ORDER), outcome=outcome)
+    rows = chosen(rows, tested_on=place[0], traffic=place[1])
     for row in rows.to_dict("records"):
         found["open" if not differs(row) else "less" if row["high"] < 0 else "more"].append(row["scope"])
     return found

@@ -113,8 +113,8 @@ def chosen(frame: pd.DataFrame, **values: Any) -> pd.DataFrame:
 
 
 def main(frame: pd.DataFrame, backend: str, arm: str = "treatment", against: str = "control") -> pd.DataFrame:
-    """The rows of a comparison on the simulator of its training."""
-    return chosen(frame, backend=backend, tested_on=backend, scenarios="own", arm=arm, against=against)
+    """The rows of a comparison."""
+    return chosen(frame, backend=backend, arm=arm, against=against)
 
 
 def wide(
@@ -239,7 +239,7 @@ def own(analysis: Analysis, backend: str, outcomes: Mapping[str, Outcome]) -> pd
 
 def further(analysis: Analysis, backend: str) -> pd.DataFrame:
     """Further arms, mean over the settings that have them."""
-    rows = chosen(analysis.means, backend=backend, tested_on=backend, scenarios="own", outcome="crashed")
+    rows = chosen(analysis.means, backend=backend, outcome="crashed")
     rows = rows[~rows["arm"].isin(list(ARMS)) & (rows["scope"] == ALL_TASKS)]
     return wide(rows, ("arm", "against", "settings"), rates)
 

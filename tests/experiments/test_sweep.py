@@ -395,9 +395,9 @@ def test_a_study_of_another_learner(name, tmp_path, here):
     analysis = analyse(results)
     assert len(analysis.gates) == 4
     assert set(analysis.gates["passed"]) <= {True, False} and set(analysis.gates["q_bounded"]) == {None}
-    found = analysis.effects.query("outcome == 'crashed' and term == 'risky' and tested_on == 'sumo'")
+    found = analysis.effects.query("outcome == 'crashed' and term == 'risky'")
     assert {("treatment", "control")} <= set(zip(found["arm"], found["against"], strict=True))
-    assert set(analysis.means["tested_on"]) == {"sumo", "replica"} and not analysis.notes["left_out"]
+    assert set(analysis.by_task["tested_on"]) == {"sumo", "replica"} and not analysis.notes["left_out"]
 
     from experiments.replay import Options as ReplayOptions
     from experiments.replay import replay

@@ -19,9 +19,9 @@ PAIR = ("treatment", "control")
 
 
 def find(frame: pd.DataFrame, **wanted: Any) -> dict[str, Any]:
-    """The one row with these values, of treatment against control at home where that is a question."""
-    if "scenarios" in frame:
-        wanted = {"arm": "treatment", "against": "control", "scenarios": "own", **wanted}
+    """The one row with these values, of treatment against control where that is a question."""
+    if "against" in frame:
+        wanted = {"arm": "treatment", "against": "control", **wanted}
     for name, value in wanted.items():
         frame = frame[frame[name] == value]
     [row] = frame.to_dict("records")

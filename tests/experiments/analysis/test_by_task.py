@@ -11,13 +11,14 @@ import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.by_task import COLUMNS, OWN, by_task
-from experiments.analysis.effects import ESTIMATE, MEANS
+from experiments.analysis.effects import ESTIMATE, MEANS, contrasts, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT
-from experiments.analysis.scores import with_outcomes
+from experiments.analysis.scores import arms_of, with_outcomes
 from experiments.study.design.sheet import GRID
 from experiments.study.results.store import Results, load
 from tests.experiments import synthetic
+from tests.experiments.analysis.made_up import PAIR
 
 LEVELS = {"highway": (1,), "roundabout": (1, 2), "u-turn": (1,)}
 
@@ -61,14 +62,12 @@ def plain_mean(rows: pd.DataFrame, outcome: str) -> float:
     return float(value.groupby(["task", "level"]).mean().groupby("task").mean().mean())
 
 
-@pytest.mark.parametrize("arm", ["treatment", "mixed"])
 def test_every_number_is_the_mean_that_plain_pandas_finds(
-    episodes: pd.DataFrame, table: pd.DataFrame, arm: str
+    episodes: pd.DataFrame, table: pd.DataFrame
 ) -> None:
     places = {("sumo", "regular"), ("sumo", "risky"), ("replica", "regular"), ("replica", "risky")}
-    rows = table[table["arm"] == arm]
-    assert {*zip(rows["tested_on"], rows["traffic"], strict=True)} == places | {("sumo", "only-parameters")}
-    for row in rows.to_dict("records"):
+    assert {*zip(table["tested_on"], table["traffic"], strict=True)} == places | {("sumo", "only-parameters")}
+    for row in table.to_dict("records"):
         if row["outcome"] == "crashes_per_100_km" and row["traffic"] == "only-parameters":
             continue  # computed before the crashes were taken out
         scope = row["scope"]
@@ -77,15 +76,14 @@ def test_every_number_is_the_mean_that_plain_pandas_finds(
             there = there[there["task"] != scope.removeprefix("without ")]
         elif scope != "all tasks":
             there = there[there["task"] == scope]
-        control, own = (plain_mean(there[there["arm"] == name], row["outcome"]) for name in ("control", arm))
+        arms = (there[there["arm"] == name] for name in ("control", "treatment"))
+        control, own = (plain_mean(drives, row["outcome"]) for drives in arms)
         assert (row["mean_against"], row["mean_arm"]) == pytest.approx((control, own))
         assert row["estimate"] == pytest.approx(own - control)
 
 
 def test_what_a_task_has_no_number_of_is_left_out(table: pd.DataFrame) -> None:
-    rows = table[
-        (table["arm"] == "treatment") & (table["tested_on"] == "sumo") & (table["traffic"] == "risky")
-    ]
+    rows = table[(table["tested_on"] == "sumo") & (table["traffic"] == "risky")]
     there = rows.groupby("outcome")["scope"].agg(set)
     tasks = {*LEVELS}
     means = {"all tasks", *(f"without {task}" for task in tasks)}
@@ -95,24 +93,23 @@ def test_what_a_task_has_no_number_of_is_left_out(table: pd.DataFrame) -> None:
         assert there[outcome] == tasks | means
 
 
-def test_it_has_the_intervals_of_the_effects(results: Results, table: pd.DataFrame) -> None:
-    """The plan's own means, which have the same estimator: at home, and elsewhere."""
+def test_it_has_the_intervals_of_the_effects(
+    results: Results, episodes: pd.DataFrame, table: pd.DataFrame
+) -> None:
+    """The plan's own means, which have the same estimator: at home, and of the tests elsewhere as if they were home."""
     analysis: Analysis = analyse(results)
-    both = analysis.means.rename(columns={"term": "traffic"})
-    both = both[
-        both["scenarios"].isin(["own", "replica"])
-        & ~((both["scenarios"] == "replica") & (both["tested_on"] == "sumo"))
-    ]
-    key = ["tested_on", "arm", "against", "scope", "outcome", "traffic"]
-    same = table.merge(both, on=key, suffixes=("", " then"))
-    for place, least in (("sumo", 40), ("replica", 8)):
-        assert (same["tested_on"] == place).sum() >= least
-    for column in (*ESTIMATE[:-1], *MEANS):
-        assert same[column].astype(float).tolist() == pytest.approx(
-            same[f"{column} then"].astype(float).tolist(), nan_ok=True
-        )
-    stored = analysis.by_task
-    assert len(stored) == (table["traffic"] != "only-parameters").sum()
+    away = episodes[(episodes["tested_on"] == "replica") & episodes["arm"].isin(PAIR)]
+    elsewhere = means(contrasts(arms_of(away), {PAIR: [("crashed", "risky"), ("crashed", "regular")]}))
+    key = ["arm", "against", "scope", "outcome", "traffic"]
+    for place, own, least in (("sumo", analysis.means, 30), ("replica", elsewhere, 8)):
+        both = own.rename(columns={"term": "traffic"})
+        same = table[table["tested_on"] == place].merge(both, on=key, suffixes=("", " then"))
+        assert len(same) >= least
+        for column in (*ESTIMATE[:-1], *MEANS):
+            assert same[column].astype(float).tolist() == pytest.approx(
+                same[f"{column} then"].astype(float).tolist(), nan_ok=True
+            )
+    assert len(analysis.by_task) == (table["traffic"] != "only-parameters").sum()
 
 
 def test_a_share_of_almost_no_crashes_has_an_interval(episodes: pd.DataFrame) -> None:

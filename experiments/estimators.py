@@ -112,7 +112,8 @@ def judged(logits: np.ndarray, alive: np.ndarray, dose: np.ndarray) -> dict[str,
     for second in SECONDS:
         there = alive[:, second] > 0
         risky, regular = (logits[there & (dose == label), second] for label in (1, 0))
-        found[f"auc_{second}s"] = float(mannwhitneyu(risky, regular).statistic / len(risky) / len(regular))
+        pairs = len(risky) * len(regular)  # none where nobody drives so long
+        found[f"auc_{second}s"] = float(mannwhitneyu(risky, regular).statistic / pairs) if pairs else np.nan
         if second == 3:
             found |= {
                 "called_risky_in_risky": (risky > 0).mean(),

@@ -32,7 +32,7 @@ WHO_DRIVES = {  # one agent, or two together
     "treatment": "one treated agent",
     "pair": "both; while the belief is unsure, the more careful action",
     "careful-start": "both; two careful steps, then weighed by the belief",
-    "careful": "both, always the more careful action",
+    "more-careful": "both, always the more careful action",
     "weighed": "both, weighed by the belief",
     "shuffled": "both, by another episode's belief",
 }

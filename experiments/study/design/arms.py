@@ -71,7 +71,7 @@ REGISTERED = "pair"  # what the plan asks about; the others stand beside it
 PAIRS = {
     "pair": Pair(UNSURE),
     "careful-start": Pair({"careful_steps": 2, **WEIGHED}),
-    "careful": Pair(UNSURE, "none"),
+    "more-careful": Pair(UNSURE, "none"),
     "weighed": Pair(WEIGHED),
 }
 PAIRS["shuffled"] = PAIRS[REGISTERED]._replace(belief="another")

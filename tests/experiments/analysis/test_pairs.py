@@ -78,7 +78,7 @@ class TestUnits:
 
     def test_pairs_that_are_not_complete_do_not_count(self, drives: pd.DataFrame) -> None:
         """Of the u-turn's third pair one test is missing, and of the highway's fourth an agent."""
-        lost = (drives["task"] == "u-turn") & (drives["arm"] == "careful") & (drives["seed"] == 302)
+        lost = (drives["task"] == "u-turn") & (drives["arm"] == "more-careful") & (drives["seed"] == 302)
         lost |= (drives["task"] == "highway") & (drives["arm"] == "control") & (drives["seed"] == 303)
         there = units(drives[~lost]).groupby("task")["seed"].unique()
         assert [*there["u-turn"]] == [300, 301, 303, 304] and [*there["highway"]] == [300, 301, 302, 304]
@@ -230,8 +230,8 @@ def test_a_report_answers_the_question_and_has_a_row_for_everybody_who_drives(ho
     assert "it is an estimate and not a test" in text  # of five settings two are there
     rates = tables.pairs(found, "sumo").set_index("who drives")
     assert len(rates) == len(PAIRS) + 2
-    rows = found.policies.query("arm == 'careful' and traffic == 'risky' and policy == 'dqn'")
-    risky = rates.loc[tables.WHO_DRIVES["careful"], "crashes in risky traffic"]
+    rows = found.policies.query("arm == 'more-careful' and traffic == 'risky'")
+    risky = rates.loc[tables.WHO_DRIVES["more-careful"], "crashes in risky traffic"]
     assert len(rows) == 2 and risky == tables.number(rows["crashed"].mean(), "crashed")
     lost = (found.policies["arm"] == "weighed") & (found.policies["task"] == "u-turn")
     fewer = tables.pairs(replace(found, policies=found.policies[~lost]), "sumo")

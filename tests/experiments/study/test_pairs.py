@@ -60,7 +60,7 @@ class TestCells:
         Estimator(torch.tensor([[0.2, 0.9]])).save(own_estimators / "u-turn-3.npz")
         after = pairs()
         moved = {before[slug].arm for slug in before if before[slug].name != after[slug].name}
-        assert moved == {*PAIRS} - {"careful"}
+        assert moved == {*PAIRS} - {"more-careful"}
 
     def test_names_follow_agents_and_rule(self, own_estimators: Path) -> None:
         cell = pairs()["sumo-u-turn-3-weighed-s0"]

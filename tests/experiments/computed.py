@@ -1,4 +1,4 @@
-"""Sweeps of the fake environment that are computed in this process, cell by cell, whole or interrupted."""
+"""Sweeps of the fake environment that are computed in this process, cell by cell."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import sumo_env
 from sumo_env.config import Config
 from sumo_env.env import DrivingEnv
 from tests.sumo_env.parity import stock
@@ -76,13 +75,6 @@ def test_configurations_of_rl_agents_are_accepted(name: str, recwarn: pytest.War
     assert [str(w.message) for w in recwarn if "env.reset()" not in str(w.message)] == []
 
 
-def test_a_null_destination_is_drawn() -> None:
-    """As in rl-agents' intersection/env_linear."""
-    env = DrivingEnv("intersection", {"destination": None})
-    scenarios = [env.task.scenario(env.config, seed) for seed in range(12)]
-    assert {scenario.ego.destination for scenario in scenarios} == {"o1", "o2", "o3"}
-
-
 def test_numbers_may_be_numpys() -> None:
     env = DrivingEnv(
         "highway",
@@ -111,23 +103,6 @@ def test_coarse_steps_are_refined() -> None:
 
 
 # -- what scripts read -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("id", sumo_env.IDS)
-def test_vehicles_and_road_can_be_read(id: str) -> None:
-    env: Any = gym.make(id).unwrapped
-    env.reset(seed=0)
-    for _ in range(2):
-        env.step(1)
-        ego = env.vehicle
-        np.testing.assert_allclose(ego.position, [env.scene.x[0], env.scene.y[0]])
-        assert (ego.speed, ego.heading) == (env.scene.speed[0], env.scene.heading[0])
-        assert ego.lane_index == env.ego_state.lane
-        assert (ego.crashed, ego.on_road) == (env.ego_state.crashed, env.ego_state.on_road)
-        assert ego is env.vehicle is env.road.vehicles[0]  # so that `is` finds it among the others
-        assert [vehicle.id for vehicle in env.road.vehicles] == list(env.scene.ids)
-        np.testing.assert_allclose(ego.velocity, ego.speed * ego.direction)
-        assert env.road.network.get_closest_lane_index(ego.position, ego.heading) == ego.lane_index
 
 
 def test_available_actions_are_those_that_change_something(highway: DrivingEnv) -> None:

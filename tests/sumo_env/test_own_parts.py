@@ -48,6 +48,34 @@ def test_a_task_brings_its_own_lanes_and_network() -> None:
     sumo_env.check_task(OwnRoad(), {"duration": 2})
 
 
+class Blocked(UTurn):
+    """The u-turn with an obstacle 60 m ahead of the ego, which may not change to the other lane."""
+
+    name = "blocked"
+
+    def road(self, config: Any) -> Road:
+        shipped = super().road(config)
+        right = ("a", "b", 1)
+        lanes = {**shipped.lanes, right: replace(shipped.lane(right), forbidden=True)}
+        ahead = shipped.lane(("a", "b", 0)).position(60.0, 0.0)
+        net_file = str(network(shipped).net_file)
+        return replace(shipped, name=self.name, lanes=lanes, obstacles=(ahead,), net_file=net_file)
+
+
+@pytest.mark.parametrize("made", [DrivingEnv, partial(ReplicaEnv, scenarios="seeded")])
+def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made: Any) -> None:
+    env = made(Blocked(), {"risk": 1.0, "vehicles_count": 0})
+    observation, _ = env.reset(seed=0)
+    assert env.scene.ids == ("ego", "obstacle:0") and env.scene.size("obstacle:0") == (2.0, 2.0)
+    assert observation[1].tolist() == pytest.approx([1.0, 60.0 / 160.0, 0.0, -16.0 / 24.0, 0.0], abs=1e-6)
+    assert [box.id for box in env.road.objects] == ["obstacle:0"] and len(env.road.vehicles) == 1
+    assert 2 not in env.get_available_actions()
+    (*_, info) = list(drive(env, 2))[-1]
+    assert info["crash"]["other"] == "obstacle:0" and env.scene.x[1] == 60.0
+    assert info["crash"]["x"] == pytest.approx(56.5, abs=2.0)
+    env.close()
+
+
 # -- tasks and drivers -------------------------------------------------------------------------------------
 
 

@@ -22,6 +22,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from experiments.reporting.tables import chosen, plain
+from experiments.study.design.sheet import GRID
 
 TEMPLATES = ROOT / "docs" / "templates"
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
@@ -31,11 +32,9 @@ NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
 def verdict() -> dict[str, dict[str, Any]]:
-    """What the validation came to: by task, the numbers of checks and those that are missed."""
-    found: dict[str, dict[str, Any]] = json.loads(
-        (ROOT / "experiments" / "validation" / "verdict.json").read_text()
-    )
-    return found
+    """What the validation came to: by task of the study, the numbers of checks and those that are missed."""
+    found = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
+    return {task: found[task] for task in GRID}
 
 
 def validation(task: str | None = None) -> dict[str, int]:

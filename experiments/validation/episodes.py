@@ -40,7 +40,7 @@ from experiments.support.files import canonical_json, sha256_bytes, write_file
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.lanes import WIDTH
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import Scene
+from sumo_env.scene import Scene, is_obstacle
 from sumo_env.tasks import TASKS
 
 CORE = ("idle", "faster", "random", "careful", "idm")  # averaged over in the checks "over egos"
@@ -111,6 +111,7 @@ def traffic_near(scenes: Sequence[Scene], task: str, road: Road, interval: float
     for scene in scenes:
         near = np.hypot(scene.x - scene.x[0], scene.y - scene.y[0]) <= DENSITY_RADIUS
         near[0] = False
+        near[[row for row, name in enumerate(scene.ids) if is_obstacle(name)]] = False
         driving = near & ~scene.crashed
         density.append(int(near.sum()))
         speeds += scene.speed[driving].tolist()

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 
 from sumo_env.networks.roads import Road
 from sumo_env.rendering.markings import LINE_WIDTH, Points, markings
-from sumo_env.scene import CAR_SIZE, LETTERS, VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
+from sumo_env.scene import CAR_SIZE, LETTERS, VEHICLE_LENGTH, VEHICLE_WIDTH, Scene, is_obstacle
 
 Colour = Any  # red, green and blue, or one grey
 
@@ -39,6 +39,7 @@ class Paint(NamedTuple):
     further: Colour
     other: Colour
     crashed: Colour
+    obstacle: Colour
     lights: tuple[Colour, Colour, Colour, Colour]
     in_event: Colour = None
 
@@ -48,7 +49,7 @@ class Paint(NamedTuple):
         def grey(colour: Colour) -> int:
             return int(np.dot(colour, weights).clip(0, 255))
 
-        greys: dict[str, Any] = {name: grey(getattr(self, name)) for name in self._fields[:8]}
+        greys: dict[str, Any] = {name: grey(getattr(self, name)) for name in self._fields[:9]}
         greys["lights"] = tuple(grey(light) for light in self.lights)
         return self._replace(**greys, in_event=None)
 
@@ -62,11 +63,12 @@ FILM = Paint(
     further=(116, 175, 209),
     other=(233, 237, 241),
     crashed=(229, 72, 77),
+    obstacle=(150, 90, 50),
     lights=((255, 60, 60), (255, 190, 0), (40, 190, 90), (60, 65, 70)),
     in_event=(255, 196, 0),
 )
 GLASS, REAR_GLASS, HEADLIGHT = (70, 80, 90), (151, 158, 165), (255, 250, 200)
-# WorldSurface.GREY and WHITE, VehicleGraphics.BLACK, GREEN, BLUE and RED; it has no lights, which are three greys here
+# WorldSurface.GREY and WHITE, VehicleGraphics.BLACK, GREEN, BLUE, RED, YELLOW; lights, which it lacks, are three greys
 HIGHWAY_ENVS = Paint(
     ground=(100, 100, 100),
     asphalt=(100, 100, 100),
@@ -76,6 +78,7 @@ HIGHWAY_ENVS = Paint(
     further=(50, 200, 0),
     other=(100, 200, 255),
     crashed=(255, 100, 100),
+    obstacle=(200, 200, 0),
     lights=((60, 0, 0), (255, 255, 0), (0, 255, 100), (60, 60, 60)),
 )
 
@@ -194,7 +197,8 @@ def _draw_vehicle(
         return _pixels(part @ turn + centre)
 
     pen.polygon(place(_BODY), fill=colour)
-    if paint.in_event is not None and scale >= 4.0:  # smaller cars have no room for details
+    is_car = paint.in_event is not None and colour != paint.obstacle
+    if is_car and scale >= 4.0:  # smaller cars have no room for details
         pen.polygon(place(_WINDSCREEN), fill=GLASS)
         pen.polygon(place(_REAR_WINDOW), fill=REAR_GLASS)
         for light in _HEADLIGHTS:
@@ -203,7 +207,9 @@ def _draw_vehicle(
 
 
 def _colour(scene: Scene, row: int, paint: Paint) -> Colour:
-    """The colour of a vehicle."""
+    """The colour of a vehicle, or of an obstacle, also of one that is hit."""
+    if is_obstacle(scene.ids[row]):
+        return paint.obstacle
     if scene.crashed[row] and (row >= scene.cars or paint.in_event is None):
         return paint.crashed
     if row < scene.cars:

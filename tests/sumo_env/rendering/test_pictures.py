@@ -20,10 +20,11 @@ from sumo_env.rendering.notes import CRASH, EVENT, Mark, Notes
 from sumo_env.rendering.pictures import RING
 from sumo_env.rendering.scenery import FILM
 from sumo_env.replica.env import ReplicaEnv
-from sumo_env.scene import Scene
+from sumo_env.scene import OBSTACLE as PREFIX
+from sumo_env.scene import OBSTACLE_SIZE, Scene
 from tests.sumo_env.rollout import drive
 
-GROUND, ASPHALT, WHITE, _, EGO, FURTHER, OTHER, CRASHED, _, IN_EVENT = FILM
+GROUND, ASPHALT, WHITE, _, EGO, FURTHER, OTHER, CRASHED, OBSTACLE, _, IN_EVENT = FILM
 VIEW = {
     **COMMON,
     "screen_width": 400,
@@ -93,6 +94,15 @@ def test_learning_cars_have_the_colour_of_the_ego_in_a_lighter_shade() -> None:
     now = replace(scene((100, 4, 0), (115, 4, 0), (110, 8, 0), crashed=(1,)), cars=2)
     picture = draw(now, highway(4), VIEW)
     assert [pixel(picture, x, y) for x, y in ((99.5, 4), (114.5, 4), (109.5, 8))] == [EGO, FURTHER, OTHER]
+
+
+def test_an_obstacle_is_no_car() -> None:
+    now = replace(
+        scene((100, 4, 0), (115, 4, 0)), ids=("ego", f"{PREFIX}0"), sizes={f"{PREFIX}0": OBSTACLE_SIZE}
+    )
+    picture = draw(now, highway(4), VIEW)
+    assert all(pixel(picture, 115 + dx, 4 + dy) == OBSTACLE for dx in (-0.7, 0.7) for dy in (-0.7, 0.7))
+    assert pixel(picture, 116.3, 4) == ASPHALT
 
 
 def test_headings_turn_clockwise_on_the_screen() -> None:

@@ -54,7 +54,9 @@ def assert_equal(env: ScenarioEnv, theirs: ObservationType, observation: dict[st
     expected = theirs.observe()
     result = ours(env, observation, generator)
     assert result.dtype == expected.dtype
-    np.testing.assert_allclose(result, expected, rtol=0.0, atol=1e-5)
+    missing = np.isnan(expected)  # headings and offsets of obstacles, which highway-env does not give
+    assert np.isfinite(result).all() and (env.road.objects or not missing.any())
+    np.testing.assert_allclose(result[~missing], expected[~missing], rtol=0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from sumo_env.contacts.rectangles import CAR, LENGTH, State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
+from sumo_env.scene import is_obstacle
 from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, Session
 from sumo_env.sumo.vehicle import IN_SUMO, Vehicle
 from sumo_env.traffic.risk import (
@@ -142,7 +143,9 @@ class Events:
     def _may_act(self, name: str) -> bool:
         """Whether a vehicle is on the road, and SUMO's but for events."""
         vehicle = self._road.get(name)
-        return vehicle is not None and not vehicle.crashed and not vehicle.is_learning
+        if vehicle is None or vehicle.crashed:
+            return False
+        return not (vehicle.is_learning or is_obstacle(name))
 
     def _look(self) -> dict[str, State]:
         """Where all vehicles are."""

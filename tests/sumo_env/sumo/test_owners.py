@@ -110,7 +110,11 @@ def test_after_any_events_a_vehicle_of_a_task_is_sumo_s(
         )
         scenario = overlapping(drawn, rng)
         specs = {spec.id: spec for spec in (*scenario.vehicles, *(one.vehicle for one in scenario.spawns))}
-        watch = Watch({name: modes(spec, scenario.calibration) for name, spec in specs.items()}.__getitem__)
+        base = {
+            name: WRECKED if spec.is_obstacle else modes(spec, scenario.calibration)
+            for name, spec in specs.items()
+        }
+        watch = Watch(base.__getitem__)
         simulator.reset(scenario)
         speed, lane, acted = scenario.ego.speed, scenario.ego.lane, set[str]()
         for _ in range(9 * HZ):

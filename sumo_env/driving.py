@@ -166,9 +166,9 @@ class DrivingEnv(OnScreen, OwnSumo):
         for part in ("risk_rates", "risk_ranges"):
             if self.config["risk"] == 0.0 and any(map(np.any, varied.get(part, {}).values())):
                 raise ConfigError(f"options[{part!r}] has no effect at risk 0: set the config key 'risk' too")
-        if (given := options.get("scenario")) is not None:
-            self.task.refuse_foreign(given, self.config)
         try:
+            if (given := options.get("scenario")) is not None:
+                self.task.refuse_foreign(given, self.config)
             scenario = given or self._draw(task)
             ego = scenario.ego
             if scenario.traffic is not None:

@@ -92,8 +92,8 @@ class SumoSimulator:
             self._check_window(error)
             raise SimulatorError(
                 f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "
-                f"{self._time:.1f} s): {_words(error)} Was libsumo called from elsewhere in this process? "
-                "Call reset() to begin another episode."
+                f"{self._time:.1f} s): {_words(error)} Is a later part of its files wrong, or was libsumo called from "
+                "elsewhere in this process? Call reset() to begin another episode."
             ) from error
 
     def _check_window(self, error: Exception) -> None:

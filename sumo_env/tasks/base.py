@@ -98,11 +98,6 @@ class Task:
         """The road of this task in highway-env's geometry."""
         raise NotImplementedError
 
-    def named_road(self, config: Config) -> tuple[Any, ...]:
-        """Name and arguments of the road, as a scenario has them."""
-        road = self.road(config)
-        return (road.name, *road.arguments)
-
     def frequency(self, config: Config) -> int:
         """Steps that are simulated per second [Hz]."""
         return simulated_frequency(config)
@@ -228,10 +223,9 @@ class Task:
                 f"{scenario.task!r} at {scenario.simulation_frequency} and {scenario.policy_frequency} Hz "
                 "('simulation_frequency' and 'policy_frequency')"
             )
-        theirs, ours = (scenario.net or scenario.task, *scenario.road_arguments), self.named_road(config)
-        if theirs != ours:
+        if scenario.road != (road := self.road(config)):
             raise ConfigError(
-                f"options['scenario'] must be on the road {ours} of this environment, not on {theirs}"
+                f"options['scenario'] must be on {road!r} of this environment, not on {scenario.road!r}"
             )
 
     def scenario(self, config: Config, seed: int) -> Scenario:

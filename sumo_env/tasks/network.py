@@ -206,9 +206,6 @@ class NetworkTask(Task):
     def road(self, config: Config) -> Road:
         return self._driven.road
 
-    def named_road(self, config: Config) -> tuple[Any, ...]:
-        return (self.net,)
-
     def frequency(self, config: Config) -> int:
         return int(config["simulation_frequency"])
 

@@ -67,7 +67,6 @@ class Family:
     name: str
     outcome: str
     term: str
-    equivalence: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ class Plan:
     settings: the grid that the plan is about; effects of others are exploratory. primary_term: of the mean over tasks.
     price: all that has to hold for a gain without price. slow: a pair whose speed is below this share of the single
     agent's is named so. stages: their settings, in order; a stage is complete where every setting has this many `seeds`
-    in each arm, and the last complete one is reported. design: what the cells are made of, as the preset asks for them.
+    in each arm, and the last complete one is reported.
     """
 
     version: int = 2
@@ -126,17 +125,15 @@ class Plan:
     primary_outcome: str = "crashed"
     primary_term: str = "risky"
     families: tuple[Family, ...] = (
-        Family("safety", "primary", "risky"),
-        Family("harm", "primary", "regular"),
+        Family("safety", "crashed", "risky"),
+        Family("harm", "crashed", "regular"),
         Family("paper", "return", "sum"),
-        Family("no harm", "crashed", "regular", equivalence=True),
     )
     price: tuple[Bound, ...] = ()
     slow: float = 0.9
     learner: Learner | None = None
     stages: dict[str, Places] = field(default_factory=dict)
     seeds: int = 0
-    design: dict[str, Any] = field(default_factory=dict)
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -148,14 +145,9 @@ class Plan:
         places = zip(rows["task"], rows["level_name"], strict=True)
         return np.fromiter((place in self.settings for place in places), bool, len(rows))
 
-    def outcome(self, family: Family) -> str:
-        """The outcome of a family."""
-        return self.primary_outcome if family.outcome == "primary" else family.outcome
-
     def family(self, outcome: str, term: str) -> str:
         """Name of the family that an effect of treatment is tested in; empty if it is exploratory."""
-        tests = {(self.outcome(f), f.term): f.name for f in self.families if not f.equivalence}
-        return tests.get((outcome, term), "")
+        return {(one.outcome, one.term): one.name for one in self.families}.get((outcome, term), "")
 
 
 DEFAULT = Plan()
@@ -201,7 +193,7 @@ def as_data(plan: Plan, thresholds: dict[str, Any]) -> dict[str, Any]:
     Args:
         thresholds: of the gates, `gates.THRESHOLDS`.
     """
-    decided = {plan.outcome(family) for family in plan.families} | {plan.primary_outcome}
+    decided = {family.outcome for family in plan.families} | {plan.primary_outcome}
     data = {
         **asdict(plan),
         "alpha": ALPHA,

@@ -36,7 +36,7 @@ class TestPlan:
         assert [plan_of([name]) for name in ("study", "quick")] == [STUDY, DEFAULT]
 
     def test_its_ranges_are_the_sheets(self) -> None:
-        assert Learner().ranges == {task: own.return_range for task, own in SHEETS.items()}
+        assert Learner().ranges == {task: SHEETS[task].return_range for task in GRID}
 
     def test_a_stage_is_reached_when_every_agent_of_it_is_there(self) -> None:
         """Whatever is there of the next one."""

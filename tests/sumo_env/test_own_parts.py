@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -46,6 +47,10 @@ def test_a_task_brings_its_own_lanes_and_network() -> None:
         for env in envs:
             env.close()
     sumo_env.check_task(OwnRoad(), {"duration": 2})
+    with closing(DrivingEnv(OwnRoad())) as env:
+        drawn = env.task.scenario(env.config, 3)
+        env.reset(options={"scenario": drawn})
+        assert env.scenario is drawn
 
 
 class Blocked(UTurn):

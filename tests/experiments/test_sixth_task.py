@@ -40,7 +40,7 @@ def test_it_is_studied_and_decides_nothing(tmp_path: Path) -> None:
     options = Options(out=tmp_path, tasks=("merge",), preset="smoke", seeds=2, updates=40, workers=2)
     assert sweep(options) == 0
     analysis = report.analyse(load(tmp_path))
-    assert set(analysis.effects["task"]) == {"merge"} and set(analysis.claims["right"]) == {0}
-    assert set(analysis.claims["verdict"]) == {"not decided"}
+    assert set(analysis.effects["task"]) == {"merge"}
+    assert set(analysis.claims["verdict"]) <= {"not decided"}  # no claim of the plan is on the merge
     assert set(analysis.effects["family"].fillna("")) == {""}
     assert "merge" in (tmp_path / "appendix.html").read_text()

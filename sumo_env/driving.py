@@ -184,6 +184,7 @@ class DrivingEnv(OnScreen, OwnSumo):
         if self._simulator is None:
             self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
         self._commands: list[Commands] = []
+        self._met = None
         return scenario, self._simulator.reset(scenario)
 
     def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
@@ -252,7 +253,7 @@ class DrivingEnv(OnScreen, OwnSumo):
         except WindowClosed:  # the episode ends where it was
             self._is_closed = True
             step = Step(self.scene, dict.fromkeys(commands, self._last._replace(distance=0.0)))
-        self._last = step.egos.get(self.ego_id, self._last)  # pictures tell of it
+        self._met = step.egos.get(next(iter(step.scene.ids), ""))
         self._film(step.trace)
         return step
 

@@ -28,7 +28,7 @@ class OnScreen(ReadAsHighwayEnv):
     render_mode: str | None
     scenario: Scenario | None
     task: Task
-    _last: EgoStep
+    _met: EgoStep | None = None  # what the first car of the scene has met in this policy step
     _video: RecordVideo[Any, Any] | None = None
     _window: Window | None = None  # of render mode "human"
     _action_name = ""  # of the last meta-action of this episode
@@ -47,7 +47,7 @@ class OnScreen(ReadAsHighwayEnv):
         from sumo_env import rendering  # Pillow is imported when the first picture is drawn
 
         limit = float(self.config["duration"])
-        notes = rendering.notes(self.scene, self.scenario, self._last, self._action_name, limit)
+        notes = rendering.notes(self.scene, self.scenario, self._met, self._action_name, limit)
         picture = rendering.draw(self.scene, self.task.road(self.config), self.config, notes)
         if self.render_mode != "human":
             return picture

@@ -38,13 +38,13 @@ class Notes(NamedTuple):
     share: float | None = None
 
 
-def notes(scene: Scene, scenario: Scenario, step: EgoStep, action: str, duration: float) -> Notes:
+def notes(scene: Scene, scenario: Scenario, met: EgoStep | None, action: str, duration: float) -> Notes:
     """The notes on a scene of an episode.
 
     Args:
         scene: an instant of a policy step.
         scenario: with the risk events.
-        step: what the ego meets in this policy step, as ``info`` says it.
+        met: what the ego meets in this policy step, as ``info`` says it; None before the first one.
         action: name of the ego's last meta-action, "" without one.
         duration: of the episode [s].
     """
@@ -52,13 +52,15 @@ def notes(scene: Scene, scenario: Scenario, step: EgoStep, action: str, duration
     light = scene.light
     if light.state in LIGHTS and light.distance <= SEEN_LIGHT:
         lines.append((LIGHTS[light.state], f"{LIGHTS[light.state]} in {light.distance:.0f} m"))
-    other = "" if step.crash is None else step.crash.other
+    other = met.crash.other if met is not None and met.crash is not None else ""
+    least = inf if met is None else met.min_ttc
+    marks = [*_events(scene, scenario), *_crashes(scene, other)]
     if scene.crashed[0]:
         lines.append((CRASH, f"crash with {other}" if other else "crash"))
-    elif step.min_ttc < NEAR_MISS_TTC:
-        lines.append((NEAR_MISS, f"near miss: {step.min_ttc:.1f} s"))
-    marks = (*_events(scene, scenario), *_crashes(scene, other), *_near(scene, step))
-    return Notes(marks, tuple(lines), min(scene.time / duration, 1.0))
+    elif least < NEAR_MISS_TTC:
+        lines.append((NEAR_MISS, f"near miss: {least:.1f} s"))
+        marks += _near(scene)
+    return Notes(tuple(marks), tuple(lines), min(scene.time / duration, 1.0))
 
 
 def _events(scene: Scene, scenario: Scenario) -> Iterator[Mark]:
@@ -80,10 +82,8 @@ def _crashes(scene: Scene, other: str) -> Iterator[Mark]:
         yield Mark(CRASH, other, other)
 
 
-def _near(scene: Scene, step: EgoStep) -> Iterator[Mark]:
-    """The vehicle that the ego would hit first, in a policy step with a near miss."""
-    if scene.crashed[0] or step.min_ttc >= NEAR_MISS_TTC:
-        return
+def _near(scene: Scene) -> Iterator[Mark]:
+    """The vehicle that the ego would hit first, if that were a near miss."""
     (own, *halves), ego = (
         ([size / 2.0 for size in scene.size(name)] for name in scene.ids),
         state_of(scene, 0),

@@ -273,7 +273,8 @@ def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> 
     """car_0 departs ten seconds after car_1. SUMO drives both: all drive as without a second learning car."""
     network, routes = road
     config = {"duration": 40, "action": WATCHED}
-    env = sumo_env.parallel_env(network, config, routes=routes, vehicles=["late", "early"])
+    picture = {"render_mode": "rgb_array", "routes": routes}
+    env = sumo_env.parallel_env(network, config, vehicles=["late", "early"], **picture)
     single = SumoDrivingEnv(network, routes, ego_vehicle="early", config=config)
     assert env.possible_agents == ["car_0", "car_1"]
     observations, _ = env.reset(seed=0)
@@ -282,6 +283,7 @@ def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> 
     came = []
     while env.agents:
         found = env.step(dict.fromkeys(env.agents, 0))
+        assert env.render() is not None  # also before car_0 is there
         single.step(0)
         assert places(env.cars["car_1"].scene) == places(single.scene)
         came.append(len(found[0]))

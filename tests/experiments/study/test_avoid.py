@@ -116,7 +116,7 @@ def test_what_is_found_in_copies_comes_true_in_the_environment(backend: str) -> 
         if row["crashed"] and row["length"] > 1:
             break
     assert row["crashed"]
-    record = {"key": {"task": "u-turn", "level": 1, "kind": "baseline"}, "source": None}
+    record = {"key": {"task": "u-turn", "level": 1, "kind": "baseline", "policy": "faster"}, "source": None}
     with rewound(Case(Store(Path("results")), "faster", record, row), env) as (copies, driven):
         for step in reversed(range(len(driven))):
             free, _ = way_out(copies[step])

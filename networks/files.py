@@ -11,7 +11,7 @@ from __future__ import annotations
 import gzip
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import count, pairwise
@@ -141,10 +141,7 @@ def _read(path: Path) -> Network:
     net, left_hand = read_net(path), _is_left_hand(path)
     sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     ordinary = [edge for edge in net.getEdges(withInternal=False) if not edge.isSpecial()]
-    here = {
-        name for edge in ordinary for part in edge.getLanes() for name in sumo_lanes[part.getID()].classes
-    }
-    drivers = OTHERS | {CAR} if CAR in here else here - {"pedestrian"}  # where no cars drive: trains, ships
+    drivers = _drivers(sumo_lanes[part.getID()] for edge in ordinary for part in edge.getLanes())
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
     stops: dict[LaneIndex, tuple[tuple[str, int], ...]] = {}
@@ -209,6 +206,12 @@ def _read(path: Path) -> Network:
     )
     road = Road(path.name, lanes, stops=stops)
     return Network(road, path, {}, first, indices, sumo_lanes, meeting=meeting)
+
+
+def _drivers(ordinary: Iterable[SumoLane]) -> set[str]:
+    """Classes of the vehicles whose lanes count: cars and their like; where no cars drive, trains and ships."""
+    here = {name for found in ordinary for name in found.classes}
+    return OTHERS | {CAR} if CAR in here else here - {"pedestrian"}
 
 
 def _lights(part: Any) -> tuple[tuple[str, int], ...]:

@@ -262,9 +262,7 @@ class ScenarioEnv(AbstractEnv):
         """Risk events that are due; those of vehicles that are gone or crashed are dropped."""
         while self._events and self._events[0].time <= time + 1e-9:
             event = self._events.pop(0)
-            for vehicle in self.road.vehicles:
-                if vehicle.id != event.vehicle or vehicle.crashed:
-                    continue
+            for vehicle in [v for v in self.road.vehicles if v.id == event.vehicle and not v.crashed]:
                 if event.kind_on("highway-env") == "cut-in":
                     self._cut_in(vehicle, event.direction)
                 else:
@@ -321,17 +319,15 @@ class ScenarioEnv(AbstractEnv):
 
     def _scene(self) -> Scene:
         ego = self.vehicle
-        vehicles: list[Any] = [ego, *(vehicle for vehicle in self.road.vehicles if vehicle is not ego)]
-        vehicles += self.road.objects
+        vehicles: list[Any] = [ego, *(v for v in self.road.vehicles if v is not ego), *self.road.objects]
         x, y = np.array([vehicle.position for vehicle in vehicles]).T.copy()
         speed, heading = (
             np.array([float(getattr(v, name)) for v in vehicles]) for name in ("speed", "heading")
         )
         crashed = np.array([bool(vehicle.crashed) for vehicle in vehicles])
         time = round(self.steps / self.config["simulation_frequency"], 6)
-        ids = tuple(vehicle.id for vehicle in vehicles)
         sizes = {box.id: OBSTACLE_SIZE for box in self.road.objects}
-        return Scene(ids, x, y, speed, heading, crashed, time, sizes=sizes)
+        return Scene(tuple(v.id for v in vehicles), x, y, speed, heading, crashed, time, sizes=sizes)
 
 
 class HighwayScenario(ScenarioEnv, HighwayEnv):

@@ -38,6 +38,7 @@ from experiments.study.compute.executors import EXECUTORS, cores
 from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import duration, seconds
 from experiments.study.compute.run import compute_here
+from experiments.study.design.estimators import known_digest
 from experiments.study.design.experiment import shard
 from experiments.study.design.fingerprint import check_dynamics, check_learners, known_dynamics
 from experiments.study.design.grid import Cell
@@ -88,7 +89,7 @@ def sweep(
     if options.executor not in EXECUTORS:
         raise unknown("executor", options.executor, EXECUTORS)
     if options.dry_run:
-        planned = shard(cells_of(options, known_dynamics), options.shard)
+        planned = shard(cells_of(options, known_dynamics, known_digest), options.shard)
         describe(options, planned, options.workers or cores())
         return 0
     cells = cells_of(options)
@@ -175,6 +176,11 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
         print(
             f"{', '.join(new)}: not in fingerprints.json, so that names, and what is finished, are not known yet"
         )
+    asked = (
+        f"{cell.task}-{cell.level_name}" for cell in cells if (cell.pair or {}).get("estimator_sha256") == ""
+    )
+    if new := list(dict.fromkeys(asked)):
+        print(f"estimators that have to be trained first: python experiments/estimators.py {' '.join(new)}")
     print(
         f"{table['agents'].sum()} agents and {table['baselines'].sum()} baselines; about "
         f"{duration(3600 * table['core hours'].sum() / workers)} left with {workers} processes on a common server"

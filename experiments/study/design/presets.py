@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-from experiments.study.design.experiment import Dynamics, Experiment
+from experiments.study.design.estimators import digest
+from experiments.study.design.experiment import Digest, Dynamics, Experiment
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.options import Asked
@@ -132,10 +133,10 @@ def complete(asked: Asked) -> Experiment:
     return replace(found, at_ends={}) if asked.arms or asked.placebo else found
 
 
-def cells_of(asked: Asked, dynamics: Dynamics = dynamics) -> list[Cell]:
+def cells_of(asked: Asked, dynamics: Dynamics = dynamics, digest: Digest = digest) -> list[Cell]:
     """All cells of what is asked for. Raises UserError where something does not exist or makes no sense."""
     experiment = complete(asked)
-    cells = experiment.cells(dynamics)
+    cells = experiment.cells(dynamics, digest)
     for option, is_answered in _answers(asked, experiment.backend, cells):
         if not is_answered:
             raise UserError(f"{option} asks for nothing here: leave it out")

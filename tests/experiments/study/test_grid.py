@@ -150,10 +150,9 @@ def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
 
 
 @pytest.fixture
-def study(monkeypatch: pytest.MonkeyPatch) -> list[grid.Cell]:
+def study() -> list[grid.Cell]:
     """The cells of plan 5, whatever estimators are there."""
-    monkeypatch.setattr(experiment, "digest", lambda cell: "0" * 64)
-    return cells_of(Asked(preset="study"))
+    return cells_of(Asked(preset="study"), digest=lambda cell: "0" * 64)
 
 
 def test_the_study_has_seeds_and_scenarios_that_no_other_preset_has(study) -> None:

@@ -11,6 +11,7 @@ import torch
 
 from agents.belief import Estimator
 from agents.columns import Observed
+from experiments import sweep
 from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.grid import Cell, cell_name
@@ -81,6 +82,16 @@ class TestCells:
         (own_estimators / "u-turn-3.npz").unlink()
         with pytest.raises(UserError, match=r"u-turn-3\.npz"):
             pairs()
+
+    def test_a_dry_run_needs_no_estimator_and_names_those_that_are_missing(
+        self, own_estimators: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        options = sweep.Options(preset="smoke", tasks=("u-turn",), out=tmp_path, dry_run=True, **ASKED)
+        assert sweep.sweep(options) == 0
+        assert "estimators.py" not in capsys.readouterr().out
+        (own_estimators / "u-turn-3.npz").unlink()
+        assert sweep.sweep(options) == 0
+        assert "estimators.py u-turn-3\n" in capsys.readouterr().out
 
 
 class TestSweep:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from agents.rules import make_policy
+from sumo_env.scene import is_obstacle
 from tests.golden.scenes import cells, make
 
 EGOS = ("idle", "random", "idm")
@@ -45,7 +46,10 @@ def episode(env: gym.Env[Any, Any], ego: str, seed: int) -> tuple[float, float, 
     while not over:
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         total, length, over = total + float(reward), length + 1, terminated or truncated
-        speeds.extend(inner.scene.speed[1:].tolist())
+        scene = inner.scene
+        speeds += [
+            scene.speed.item(row) for row in range(1, len(scene.ids)) if not is_obstacle(scene.ids[row])
+        ]
     return float(info["crashed"]), total, float(length), float(np.mean(speeds))
 
 

@@ -19,8 +19,8 @@ from experiments.support import limit_threads
 
 limit_threads()
 
+from sumo_env.tasks import TASKS
 from tests.golden import outcomes, scenes
-from tests.tasks import PUBLISHED
 
 FOLDER = Path(__file__).resolve().parent
 WIDTH = 110
@@ -51,7 +51,7 @@ def main(parts: list[str]) -> None:
     if unknown := set(parts) - {*PARTS}:
         raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
     for part in parts or PARTS:
-        for task in PUBLISHED:
+        for task in TASKS:
             (FOLDER / part / f"{task}.json").write_text(pretty(PARTS[part](task)) + "\n")
             print(f"{part}/{task}.json", flush=True)
 

@@ -26,9 +26,9 @@ TOLERANCE = 1e-6  # [m, m/s, rad] and of observations and rewards
 
 
 def cells(task: str) -> Iterator[tuple[str, float]]:
-    """The lowest and the highest traffic level of a task, by name, each with regular and risky traffic."""
+    """The lowest and the highest traffic level of a task (or its one), by name, with regular and risky traffic."""
     levels = list(TASKS[task].levels)
-    for level in (levels[0], levels[-1]):
+    for level in dict.fromkeys((levels[0], levels[-1])):
         for risk in RISKS:
             yield level, risk
 

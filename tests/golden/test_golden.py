@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
+from sumo_env.tasks import TASKS
 from tests.golden import outcomes, scenes
 from tests.golden.regenerate import read
-from tests.tasks import PUBLISHED, published_task
+from tests.tasks import every_task
 
 SHOWN = 12  # differences in a failure's message; the first ones say most
 
@@ -17,26 +20,23 @@ def report(differences: list[str]) -> str:
     return "\n".join([f"{len(differences)} differences", *differences[:SHOWN]])
 
 
-@published_task
+@every_task
 def test_first_steps_are_the_golden_ones(task: str) -> None:
     found = scenes.differences(scenes.table(task), read(f"scenes/{task}.json"))
     assert not found, report(found)
 
 
-# Every day at both levels and in both traffics, the other two of the four before a release.
-CELLS = [
-    pytest.param(0, id="lowest-regular"),
-    pytest.param(1, id="lowest-risky", marks=pytest.mark.long),
-    pytest.param(2, id="highest-regular", marks=pytest.mark.long),
-    pytest.param(3, id="highest-risky"),
-]
+def cells() -> Iterator[Any]:
+    """Every day at both levels and in both traffics, the two between them of the four before a release."""
+    for task in TASKS:
+        first, *between, last = scenes.cells(task)
+        for cell in (first, *between, last):
+            yield pytest.param(task, *cell, marks=[pytest.mark.long] if cell in between else [])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cell", CELLS)
-@published_task
-def test_episodes_end_as_the_golden_ones(task: str, cell: int) -> None:
-    level, risk = list(scenes.cells(task))[cell]
+@pytest.mark.parametrize(("task", "level", "risk"), list(cells()))
+def test_episodes_end_as_the_golden_ones(task: str, level: str, risk: float) -> None:
     golden = read(f"outcomes/{task}.json")[f"level {level}, risk {risk:g}"]
     found = outcomes.differences(outcomes.drive(task, level, risk), golden)
     assert not found, report(found)
@@ -58,6 +58,6 @@ def test_a_vehicle_that_is_two_micrometres_away_or_missing_is_noticed() -> None:
 
 
 def test_regular_traffic_does_not_end_as_risky_traffic() -> None:
-    for task in PUBLISHED:
+    for task in TASKS:
         regular, risky, *_ = read(f"outcomes/{task}.json").values()
         assert outcomes.differences(regular, risky), task

@@ -38,6 +38,7 @@ PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
     "roundabout": (1, 3, {"scaling": 4.5}),
     "intersection": (2, 3, {}),
     "u-turn": (1, 3, {"scaling": 4.5, "centering_position": [0.35, 0.85]}),
+    "merge": (4, 7, {"screen_width": 900, "screen_height": 130, "centering_position": [0.4, 0.5]}),
 }
 SIZE = {"screen_width": 280, "screen_height": 200}
 # task -> configuration of its film
@@ -47,6 +48,7 @@ FILMS: dict[str, dict[str, Any]] = {
     "roundabout": {"scaling": 2.8, "centering_position": [0.5, 0.7]},
     "intersection": {"scaling": 3.4, "centering_position": [0.5, 0.65]},
     "u-turn": {"scaling": 2.2, "centering_position": [0.4, 0.75]},
+    "merge": {"scaling": 3.2, "centering_position": [0.35, 0.45]},
 }
 DRIVER = "careful"
 NEAR = 30.0  # [m] to a car that is in the picture

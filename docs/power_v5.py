@@ -20,8 +20,7 @@ from experiments.analysis.effects import contrasts, means
 from experiments.analysis.plan import ALPHA, STUDY
 from experiments.analysis.scores import SETTING, arms_of
 from experiments.study.design.traffic import TRAFFICS
-from experiments.study.results import frozen
-from experiments.study.results.schema import EPISODES
+from experiments.study.results.store import EPISODES, Store
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 SCENARIOS = 400
@@ -34,9 +33,9 @@ ASKED = [("crashed", traffic) for traffic in ("risky", "regular")]
 
 def episodes(study: str, kinds: dict[str, str]) -> pd.DataFrame:
     """Test episodes on the first scenarios, of the cells of these arms and their kinds."""
-    rows, tables = [], frozen.tables(RESULTS / study, EPISODES)
-    for name, record in frozen.records(RESULTS / study).items():
-        key, own = record["key"], tables[name]
+    rows, store = [], Store(RESULTS / study)
+    for name, record in store.records().items():
+        key, own = record["key"], store.tables(name)[EPISODES]
         if kinds.get(key["arm"]) == key["kind"] and {*own["traffic"]} == {*TRAFFICS}:
             about = {column: key[column] for column in (*SETTING, "arm", "seed")}
             rows.append(own[["traffic", "scenario", "crashed"]].assign(**about))

@@ -13,17 +13,18 @@ Folders of earlier versions are read as well (`frozen`). `Store` has one cell af
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from types import ModuleType
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from agents.schema import Wrong, check, shortened
+from agents.schema import check
 from experiments.study.design.grid import RESULT_SCHEMA, Cell, setting
 from experiments.study.results import frozen, tables
 from experiments.study.results.schema import (
@@ -54,7 +55,6 @@ BESIDE = {
     TRAINING: ("training", ".parquet"),
     WEIGHTS: ("weights", ".npz"),
 }  # where an agent's other files lie
-T = TypeVar("T")
 
 
 class Store:
@@ -74,7 +74,7 @@ class Store:
         own = [
             path.stem for path in self.cells.glob("*.parquet")
         ]  # first: packing moves cells from here to parts
-        return sorted({*own, *self._packed(), *frozen.records(self.directory)})
+        return sorted({*own, *self._packed()})
 
     def _own(self, name: str) -> Path:
         """The file of a cell that is not packed."""
@@ -82,29 +82,24 @@ class Store:
 
     def _packed(self) -> dict[str, Path]:
         """The part of each packed cell. Raises DamagedPart."""
-        return {
-            name: path
-            for path in sorted(self.parts.glob("*.parquet"))
-            for name in asked_of(path, tables.records, DamagedPart)
-        }
+        files = [*sorted(self.parts.glob("*.parquet")), *self.directory.glob(frozen.CELLS)]
+        return {name: path for path in files for name in asked_of(path, _reader(path).records, DamagedPart)}
 
-    def _find(
-        self, name: str, of_own: Callable[[Path], dict[str, T]], of_frozen: Callable[[], dict[str, T]]
-    ) -> T:
-        """What is asked of the file that a cell is in. Raises DamagedCell; DamagedPart; KeyError without one."""
+    def _find(self, name: str, of: str) -> Any:
+        """A cell's part of the "records" or "frames" of the file that it is in. Raises as `record` does."""
         own = self._own(name)
         if own.exists() or own.is_symlink():
-            found = asked_of(own, of_own, DamagedCell)
+            found = asked_of(own, getattr(tables, of), DamagedCell)
             if list(found) != [name]:
                 raise DamagedCell(own, f"its content is that of {', '.join(found)}")
             return found[name]
-        if part := self._packed().get(name):
-            return asked_of(part, of_own, DamagedPart)[name]
-        return of_frozen()[name]
+        part = self._packed()[name]
+        return asked_of(part, getattr(_reader(part), of), DamagedPart)[name]
 
     def record(self, name: str) -> dict[str, Any]:
         """The record of a finished cell. Raises DamagedCell; DamagedPart; KeyError without one."""
-        return self._find(name, tables.records, lambda: frozen.records(self.directory))
+        found: dict[str, Any] = self._find(name, "records")
+        return found
 
     def records(self) -> dict[str, dict[str, Any]]:
         """The records of all finished cells by name. Raises as `record` does."""
@@ -121,19 +116,14 @@ class Store:
 
     def tables(self, name: str) -> dict[str, pd.DataFrame]:
         """EPISODES and, of a cell that is judged, GATES. Raises as `record` does."""
-
-        def of_frozen() -> dict[str, dict[str, pd.DataFrame]]:
-            both = {file: frozen.tables(self.directory, file) for file in PURPOSES}
-            return {name: {file: both[file][name] for file in both if name in both[file]}}
-
-        found: dict[str, pd.DataFrame] = self._find(name, tables.frames, of_frozen)
+        found: dict[str, pd.DataFrame] = self._find(name, "frames")
         return found
 
     def training(self, name: str) -> pd.DataFrame:
         """An agent's training episodes. Raises DamagedCell; KeyError where they are not kept."""
         if (path := self._beside(name, TRAINING)) is None:
             raise KeyError(name)
-        return asked_of(path, frozen.read_table, DamagedCell)
+        return asked_of(path, pd.read_parquet, DamagedCell)
 
     def weights(self, name: str) -> Path | None:
         """The file of an agent's weights; None if it is not here. Raises DamagedCell where they are others'."""
@@ -157,7 +147,7 @@ class Store:
             DamagedCell: it has to be computed again. DamagedPart.
         """
         try:
-            files = self._find(name, tables.records, lambda: frozen.records(self.directory))["files"]
+            files = self.record(name)["files"]
             self.tables(name)
         except KeyError:
             return False
@@ -217,9 +207,6 @@ class Store:
         try:
             noted = read_json(path)
             check(noted, {"sweeps": [{"command": str, "cells": [str]}]})
-            for sweep in noted["sweeps"]:
-                if odd := [text for text in (sweep["command"], *sweep["cells"]) if not text.isprintable()]:
-                    raise Wrong(f"it has characters that cannot be shown, in {shortened(odd[0])}")
             return [{"command": sweep["command"], "cells": sweep["cells"]} for sweep in noted["sweeps"]]
         except FileNotFoundError:
             return []
@@ -295,6 +282,11 @@ class Store:
                 for name in names:
                     self._own(name).unlink()
         return [name for name in own if name not in packed]
+
+
+def _reader(path: Path) -> ModuleType:
+    """What reads the records and frames of packed cells: frozen folders have a format of their own."""
+    return frozen if path.name == frozen.CELLS else tables
 
 
 def part_of(key: Mapping[str, Any]) -> str:

@@ -29,34 +29,38 @@ T = TypeVar("T")
 ROWS, BYTES = 2**22, 2**31  # of a file at most: rows, and bytes when it is unpacked
 
 
-class DamagedCell(UserError):
-    """A stored cell that cannot be what was written; the message names the file and the remedy."""
+class Damaged(UserError):
+    """A file that cannot be what was written; the message names it and the remedy."""
+
+    remedy: str
 
     def __init__(self, file: Path, reason: str) -> None:
-        super().__init__(
-            f"{file} is damaged ({reason}): run the sweep again, which puts it aside and computes its cell again"
-        )
+        super().__init__(f"{file} is damaged ({reason}): {self.remedy}")
         self.file, self.reason = file, reason
 
 
-class DamagedPart(UserError):
-    """A part that cannot be what was written."""
+class DamagedCell(Damaged):
+    """A stored cell, which can be computed again."""
 
-    def __init__(self, file: Path, reason: str) -> None:
-        super().__init__(
-            f"{file} is damaged ({reason}): restore it from a copy (git checkout {file}, for a published one), or "
-            "remove it, and the same sweep computes its cells again"
-        )
+    remedy = "run the sweep again, which puts it aside and computes its cell again"
 
 
-def asked_of(path: Path, asked: Callable[[Path], T], damaged: Callable[[Path, str], UserError]) -> T:
-    """What is asked of a file. Raises what `damaged` makes of a reason."""
+class DamagedPart(Damaged):
+    """A part with the cells of several."""
+
+    remedy = (
+        "restore it from a copy (git checkout, for a published one), or remove it, and the same sweep computes its "
+        "cells again"
+    )
+
+
+def asked_of(path: Path, asked: Callable[[Path], T], damaged: type[Damaged]) -> T:
+    """What is asked of a file. Raises `damaged`, whatever a reader stumbles over."""
     try:
         return asked(path)
-    except OSError as error:
-        raise damaged(path, error.strerror or "unreadable") from None
-    except (ValueError, TypeError, KeyError) as error:
-        raise damaged(path, str(error)) from None
+    except Exception as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error).partition("\n")[0]
+        raise damaged(path, reason or f"it cannot be read: {type(error).__name__}") from None
 
 
 def content(records: Mapping[str, Mapping[str, Any]], table: pa.Table) -> bytes:
@@ -91,20 +95,23 @@ def digest(table: pa.Table, text: str = "") -> str:
 
 def records(path: Path) -> dict[str, dict[str, Any]]:
     """The records in a file by name. Raises Wrong; OSError."""
-    about = path.lstat()
-    return _records(path, about.st_ino, about.st_mtime_ns, about.st_size)
+    return _records(path, *_state(path))
 
 
 def frames(path: Path) -> dict[str, dict[str, pd.DataFrame]]:
     """The tables in a file, by cell and by name, after comparing all of it with its checksum. Raises Wrong; OSError."""
+    return _frames(path, *_state(path))
+
+
+def _state(path: Path) -> tuple[int, int, int]:
     about = path.lstat()
-    return _frames(path, about.st_ino, about.st_mtime_ns, about.st_size)
+    return about.st_ino, about.st_mtime_ns, about.st_size
 
 
 @lru_cache(4096)
-def _records(path: Path, *about: int) -> dict[str, dict[str, Any]]:
+def _records(path: Path, *state: int) -> dict[str, dict[str, Any]]:
     with opened(path) as file:
-        text, _ = _metadata(_parquet(file))
+        text, _ = _metadata(pq.ParquetFile(file))
     found: dict[str, dict[str, Any]] = parsed(text)
     check(found, dict)
     for name, record in found.items():
@@ -113,8 +120,8 @@ def _records(path: Path, *about: int) -> dict[str, dict[str, Any]]:
 
 
 @lru_cache(8)
-def _frames(path: Path, *about: int) -> dict[str, dict[str, pd.DataFrame]]:
-    table, found = read(path), _records(path, *about)
+def _frames(path: Path, *state: int) -> dict[str, dict[str, pd.DataFrame]]:
+    table, found = read(path), _records(path, *state)
     check_table(table, found)
     rows = dict(list(table.to_pandas().groupby(["cell", "purpose"], sort=False)))
     return {
@@ -128,9 +135,9 @@ def _frames(path: Path, *about: int) -> dict[str, dict[str, pd.DataFrame]]:
 
 
 def read(path: Path) -> pa.Table:
-    """The rows of a file, after comparing them and the records with its checksum. Raises Wrong; OSError."""
+    """The rows of a file, after comparing them and the records with its checksum. Raises Wrong, or as pyarrow does."""
     with opened(path) as file:
-        parquet = _parquet(file)
+        parquet = pq.ParquetFile(file)
         text, expected = _metadata(parquet)
         columns = parquet.schema_arrow.remove_metadata()
         if columns != SCHEMA:
@@ -139,27 +146,15 @@ def read(path: Path) -> pa.Table:
         unpacked = sum(parquet.metadata.row_group(k).total_byte_size for k in range(parquet.num_row_groups))
         if parquet.metadata.num_rows > ROWS or unpacked > BYTES:
             raise Wrong(f"it has {parquet.metadata.num_rows} rows and {unpacked} bytes: too many")
-        try:
-            table = parquet.read()
-            found = digest(table, text)
-        except Exception as error:  # pyarrow stumbles over damage in many ways
-            raise Wrong(f"it is no table: {str(error).partition(chr(10))[0]}") from None
-    if found != expected:
+        table = parquet.read()
+    if digest(table, text) != expected:
         raise Wrong("its checksum does not match")
     return table
-
-
-def _parquet(file: io.BufferedReader) -> pq.ParquetFile:
-    try:
-        return pq.ParquetFile(file)
-    except Exception as error:
-        raise Wrong(f"it is no table: {str(error).partition(chr(10))[0]}") from None
 
 
 def _metadata(parquet: pq.ParquetFile) -> tuple[str, str]:
     """The text of the records, and the checksum."""
     metadata = parquet.metadata.metadata or {}
-    try:
-        return metadata[b"records"].decode(), metadata[b"sha256"].decode()
-    except (KeyError, UnicodeDecodeError):
-        raise Wrong("it has no records") from None
+    if not metadata.keys() >= {b"records", b"sha256"}:
+        raise Wrong("it has no records")
+    return metadata[b"records"].decode(), metadata[b"sha256"].decode()

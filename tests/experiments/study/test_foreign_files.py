@@ -188,29 +188,6 @@ def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path)
     assert fraction_done(results / "work" / "cell") == 0.0
 
 
-def test_a_name_does_not_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    """Whatever a command prints, and however."""
-    words, shown = "\x1b]0;evil\x07 and\u202e other words", "\\x1b]0;evil\\x07 and\\u202e other words\n"
-
-    def command() -> int:
-        print(words)
-        print(words, file=sys.stderr)
-        raise UserError(words)
-
-    with pytest.raises(SystemExit):
-        run_command(command)
-    assert capsys.readouterr() == (shown, f"{shown}error: {shown}")
-
-
-@pytest.mark.parametrize("sweep", [{"command": "\u202etxt"}, {"cells": ["\x1b]0;evil\x07"]}], ids=repr)
-def test_a_sweep_is_noted_in_characters_that_can_be_shown(sweep: dict[str, Any], results: Path) -> None:
-    (results / store.SWEEPS).write_text(
-        json.dumps({"sweeps": [{"command": "sweep", "cells": ["cell"], **sweep}]})
-    )
-    with pytest.raises(UserError, match="characters"):
-        load(results)
-
-
 def test_a_film_is_refused_before_it_is_made(tmp_path: Path) -> None:
     for name in ("film.mp4", "film", "film.gif.txt"):
         with pytest.raises(UserError, match="the name of a film ends in"):

@@ -40,7 +40,6 @@ def test_writing_twice_keeps_the_first(results, cells):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda cell, files: (replace(cell, seed=10**9), files),
         lambda cell, files: (replace(cell, eval={**cell.eval, "episodes": 4}), files),
         lambda cell, files: (cell, {**files, store.EPISODES: files[store.EPISODES].assign(distance=np.nan)}),
         lambda cell, files: (cell, {**files, store.EPISODES: files[store.EPISODES].drop(columns="return")}),

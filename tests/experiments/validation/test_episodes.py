@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -89,29 +88,29 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Part:
     return part
 
 
-DAMAGE: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
-    "a row less": (lambda t: t.iloc[:-1], "row 2 of 2 is not the episode"),
-    "another order": (lambda t: t.iloc[::-1], "row 0 of 3 is not the episode"),
-    "a return of inf": (lambda t: t.assign(**{"return": np.inf}), "it has infinite numbers in return"),
-    "a density of nan": (lambda t: t.assign(density=np.nan), ".*density"),
-    "no ego": (lambda t: t.drop(columns="ego"), ".*ego"),
-    "headways below 0": (lambda t: t.assign(headway_03=-1), ".*headway_03"),
+DAMAGE: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
+    "a row less": lambda t: t.iloc[:-1],
+    "another order": lambda t: t.iloc[::-1],
+    "no ego": lambda t: t.drop(columns="ego"),
+    "no density": lambda t: t.drop(columns="density"),
 }
 
 
-@pytest.mark.parametrize("way", DAMAGE)
+@pytest.mark.parametrize("way", [*DAMAGE, "half of the file"])
 def test_a_part_that_is_damaged_is_named_and_driven_again(
     way: str, part: Part, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    change, said = DAMAGE[way]
-    moved = replace(part, directory=tmp_path)
-    (tmp_path / part.name).parent.mkdir(parents=True)
+    moved, file = replace(part, directory=tmp_path), tmp_path / part.name
+    file.parent.mkdir(parents=True)
     stored = pd.read_parquet(part.directory / part.name)
-    stored.to_parquet(tmp_path / part.name)
+    stored.to_parquet(file)
     assert moved.done() and not capsys.readouterr().out
-    change(stored).to_parquet(tmp_path / part.name)
+    if way in DAMAGE:
+        DAMAGE[way](stored).to_parquet(file)
+    else:
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     assert not moved.done()
-    assert re.search(rf"{re.escape(part.name)} is damaged \({said}.*driven again", capsys.readouterr().out)
+    assert re.search(rf"{re.escape(part.name)} is damaged .*driven again", capsys.readouterr().out)
 
 
 @pytest.mark.slow

@@ -25,12 +25,12 @@ from sumo_env.screen import OnScreen
 from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
 from sumo_env.streams import stream
 from sumo_env.sumo.process import SumoProcess
-from sumo_env.tasks import get_task
+from sumo_env.tasks import asked, get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.traffic.scenario import Scenario
+from sumo_env.traffic.tilt import asked_tilt
 
 Observation = NDArray[np.float32]
-VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
 
 
 class DrivingEnv(OnScreen, OwnSumo):
@@ -142,7 +142,9 @@ class DrivingEnv(OnScreen, OwnSumo):
             seed: of the environment's generator.
             options: ``config`` changes the configuration first, as in highway-env. ``risk_rates``, ``risk_ranges`` and
                 ``calibration`` change values of `RiskRates`, `RiskRanges` and `Calibration` in this episode alone, such
-                as ``{"risk_rates": {"cut_in": 0.2}}``. ``scenario`` is a `Scenario` to start from.
+                as ``{"risk_rates": {"cut_in": 0.2}}``. ``{"event_factor": 50, "event_reach": 30.0}``: risk events of
+                vehicles within so many metres of a learning car come so many times as often (docs/rare.md).
+                ``scenario`` is a `Scenario` to start from.
 
         Raises:
             ConfigError: an unknown option, key or name, a wrong value.
@@ -152,24 +154,17 @@ class DrivingEnv(OnScreen, OwnSumo):
     def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
         """Draw the traffic of an episode and let it drive until the ego is there, see `reset`."""
         super().reset(seed=seed)
-        options = options or {}
-        unknown = options.keys() - {"config", "scenario", *VARIED}
-        if unknown or ("scenario" in options and options.keys() & VARIED):
-            raise ConfigError(
-                f"reset's options are 'config' and either 'scenario' or {', '.join(map(repr, VARIED))}, not {options!r}"
-            )
+        options = asked.checked(options)
         # also without options: users of highway-env write to env.unwrapped.config directly
         if options.get("config") or self.config != self._configured:
             self.configure(options.get("config"))
-        varied = {part: options[part] for part in VARIED if part in options}
-        self._drawn_by = task = self.task.varied(varied) if varied else self.task
-        for part in ("risk_rates", "risk_ranges"):
-            if self.config["risk"] == 0.0 and any(map(np.any, varied.get(part, {}).values())):
-                raise ConfigError(f"options[{part!r}] has no effect at risk 0: set the config key 'risk' too")
+        self._drawn_by = task = asked.varied(self.task, options, self.config["risk"])
+        tilt = asked_tilt(options, task.risk_rates, self.config["risk"], self.config["duration"])
         try:
             if (given := options.get("scenario")) is not None:
                 self.task.refuse_foreign(given, self.config)
             scenario = given or self._draw(task)
+            scenario = scenario.tilted(tilt) if tilt else scenario
             ego = scenario.ego
             if scenario.traffic is not None:
                 # SUMO's numbers have 31 bits; of a larger seed SUMO gets the scenario's
@@ -218,6 +213,7 @@ class DrivingEnv(OnScreen, OwnSumo):
             `interface.ending`), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
             is near), min_ttc_before_contact, near_miss, distance [m] of this step, traffic_light (the next one on
             the ego's way: 0 red, 1 yellow, 2 green, -1 without one), traffic_light_distance [m] (inf without one).
+            With ``event_factor`` also those of `scene.NearEvents`.
 
         After the end of an episode a step warns and pays 0.
 

@@ -108,7 +108,7 @@ def information(
     time to collision before a contact [s].
     """
     crashed = bool(scene.crashed[0])
-    return {
+    info = {
         "speed": float(scene.speed[0]),
         "crashed": crashed,
         "arrived": bool(arrived),
@@ -126,6 +126,7 @@ def information(
         "traffic_light": int(scene.light.state),
         "traffic_light_distance": float(scene.light.distance),
     }
+    return info if scene.near_events is None else info | scene.near_events._asdict()
 
 
 def ending(ego: EgoState, arrived: bool, terminated: bool, truncated: bool) -> str:

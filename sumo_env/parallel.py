@@ -13,10 +13,11 @@ import gymnasium as gym
 import numpy as np
 
 from sumo_env.config import Config, ConfigError
-from sumo_env.driving import VARIED, DrivingEnv
+from sumo_env.driving import DrivingEnv
 from sumo_env.networks import files
 from sumo_env.several import REPLICA, Cars, Seen, asked
 from sumo_env.tasks import TASKS
+from sumo_env.tasks.asked import OPTIONS
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Origin, Scenario
@@ -117,9 +118,7 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start an episode, see `DrivingEnv.reset`."""
-        known = {
-            key: value for key, value in (options or {}).items() if key in ("config", "scenario", *VARIED)
-        }
+        known = {key: value for key, value in (options or {}).items() if key in OPTIONS}
         if unknown := (options or {}).keys() - known.keys():  # PettingZoo's own test gives some
             gym.logger.warn("%s", f"options without effect: {', '.join(sorted(unknown))}")
         return self._enter(self._cars.reset(seed, known), [])

@@ -111,6 +111,20 @@ class Place(NamedTuple):
     overlap: str = ""
 
 
+class NearEvents(NamedTuple):
+    """Risk events near learning cars, which come more often (`traffic.tilt`), since the start of the episode.
+
+    Attributes:
+        events: that have come.
+        expected_events: mean number of these at factor 1, given who was near.
+        log_weight: logarithm of the likelihood at factor 1 over that of what has happened.
+    """
+
+    events: int
+    expected_events: float
+    log_weight: float
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """Struct of arrays, one row per vehicle, the learning cars first; highway-env's coordinates (x east, y *down*).
@@ -133,6 +147,7 @@ class Scene:
         cars: number of first rows that are learning cars.
         further: light and place of the learning cars but the ego, by their ids.
         signals: what each traffic light of a network shows, in SUMO's letters, by its id.
+        near_events: after a policy step of an episode in which events near learning cars come more often.
     """
 
     ids: tuple[str, ...]
@@ -149,6 +164,7 @@ class Scene:
     cars: int = 1
     further: Mapping[str, tuple[Light, Place | None]] = field(default_factory=dict)
     signals: Mapping[str, str] = field(default_factory=dict)
+    near_events: NearEvents | None = None
 
     def seen_by(self, name: str) -> Scene:
         """The scene in which this learning car is the ego; KeyError if there is no such one."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from sumo_env.as_highway_env import class_or_instance
 from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_misplaced
-from sumo_env.driving import VARIED, DrivingEnv, Observation
+from sumo_env.driving import DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import OFFSETS, Kinematics, Situation
 from sumo_env.replica import draws
@@ -23,8 +23,10 @@ from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import form_of
 from sumo_env.replica.simulator import Replica
 from sumo_env.scene import Scene
+from sumo_env.tasks.asked import VARIED
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
+from sumo_env.traffic.tilt import TILTED
 
 SCENARIOS = ("highway-env", "seeded")
 # Policy steps of two-way-v0, which has no duration (``max_episode_steps`` of its registration).
@@ -168,6 +170,10 @@ class ReplicaEnv(DrivingEnv):
     # -- gymnasium -----------------------------------------------------------------------------------------
 
     def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
+        if tilted := [name for name in TILTED if name in (options or {})]:
+            raise ConfigError(
+                f"{', '.join(tilted)}: on the replica, events come as often as drawn; sumo/* has it"
+            )
         varied = [part for part in VARIED if part in (options or {})]
         if varied and self.is_stock:
             raise ConfigError(f"highway-env has no {', '.join(varied)} that a reset could vary; {INSTEAD}")

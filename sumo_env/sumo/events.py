@@ -10,15 +10,16 @@ from bisect import insort
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
 
 from sumo_env.contacts.rectangles import CAR, LENGTH, State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scene import is_obstacle
+from sumo_env.scene import Scene, is_obstacle
 from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, Session
+from sumo_env.sumo.tilted import Tilted
 from sumo_env.sumo.vehicle import IN_SUMO, Vehicle
 from sumo_env.traffic.risk import (
     HALF_CORRIDOR,
@@ -112,6 +113,9 @@ class Events:
         self, session: Session, scenario: Scenario, network: Network, road: Mapping[str, Vehicle]
     ) -> None:
         self._coming = list(reversed(scenario.events))
+        self._tilted = Tilted(scenario.tilt) if scenario.tilt else None
+        if self._tilted:
+            self._tilted.plan((name for name, _ in scenario.lifetimes), scenario.events)
         self._session, self._network, self._road = session, network, road
         self._asks_for_markings = scenario.traffic is not None
         self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
@@ -126,7 +130,7 @@ class Events:
         self._states = {}
         while self._coming and self._coming[-1].time <= time + EARLY:
             event = self._coming.pop()
-            if self._may_act(event.vehicle):
+            if self._may_act(event.vehicle) and self._comes(event):
                 if event.kind == "cut-in":
                     self._cut_in(event, time)
                 else:
@@ -139,6 +143,14 @@ class Events:
             self._end_cut_in(name)
         for name, running in list(self._running.items()):
             self._go_on(name, running, time, dt)
+
+    def _comes(self, event: RiskEvent) -> bool:
+        """Whether an event that is due begins: not a further one of a vehicle far away."""
+        return self._tilted.comes(event) if self._tilted else not event.is_further
+
+    def counted(self, scene: Scene) -> Scene:
+        """The scene after a policy step, or at the start, with the events near learning cars if they are counted."""
+        return replace(scene, near_events=self._tilted.count(scene)) if self._tilted else scene
 
     def _may_act(self, name: str) -> bool:
         """Whether a vehicle is on the road, and SUMO's but for events."""
@@ -163,15 +175,21 @@ class Events:
             name: states[name] for pair in product(*sides) for name in squares.get((pair[0], pair[1]), ())
         }
 
-    def add(self, events: Sequence[RiskEvent]) -> None:
-        """Events of a vehicle that has come."""
+    def plan(self, vehicle: str, events: Sequence[RiskEvent]) -> None:
+        """A vehicle has come, with these events."""
+        self._add(events)
+        if self._tilted:
+            self._tilted.plan((vehicle,), events)
+
+    def _add(self, events: Sequence[RiskEvent]) -> None:
         for event in events:
             insort(self._coming, event, key=lambda one: -one.time)
 
     def replace(self, events: Sequence[RiskEvent], now: float) -> None:
-        """Go on with these events in place of those after `now` [s]."""
-        self._coming = [event for event in self._coming if event.time <= now]
-        self.add([event for event in events if event.time > now])
+        """Go on with these events in place of those after `now` [s], none of them more often near learning cars."""
+        self._coming = [event for event in self._coming if event.time <= now and self._comes(event)]
+        self._tilted = None
+        self._add([event for event in events if event.time > now])
 
     @property
     def acting(self) -> frozenset[str]:

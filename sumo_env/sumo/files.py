@@ -194,13 +194,16 @@ class FileSimulator(SumoSimulator):
             self._plan(name, self._time)
 
     def _plan(self, name: str, start: float) -> None:
-        self._events.add(self._drawn(name, start))
+        if self._may_be_risky(name):
+            self._events.plan(name, self._drawn(name, start))
+
+    def _may_be_risky(self, name: str) -> bool:
+        is_of_road = self._session.vehicle.getVehicleClass(name) in RISKY_CLASSES
+        return is_of_road and not self._road[name].is_learning
 
     def _drawn(self, name: str, start: float) -> tuple[RiskEvent, ...]:
         """The events of a vehicle from `start` [s] on; its random streams have its own name."""
         scenario, traffic = self._scenario, self._traffic
-        if self._road[name].is_learning or self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
-            return ()
         laws, lifetime = ((-inf, scenario.seed), *traffic.imagined, (inf, 0)), ((name, start),)
         events: list[RiskEvent] = []
         for (after, seed), (until, _) in pairwise(laws):
@@ -208,6 +211,8 @@ class FileSimulator(SumoSimulator):
                 traffic.rates, scenario.risk, lifetime, seed, traffic.duration, f"risk events of {name}"
             )
             events += [event for event in drawn if after < event.time <= until]
+        if scenario.tilt is not None:
+            events += scenario.tilt.further(lifetime, scenario.seed, f"further risk events of {name}")
         return tuple(events)
 
     def imagine(self, scenario: Scenario) -> None:
@@ -215,7 +220,8 @@ class FileSimulator(SumoSimulator):
         assert scenario.traffic is not None
         self._scenario, self._traffic = scenario, scenario.traffic
         now, _ = scenario.traffic.imagined[-1]
-        self._events.replace([event for name in self._road for event in self._drawn(name, now)], now)
+        risky = filter(self._may_be_risky, self._road)
+        self._events.replace([event for name in risky for event in self._drawn(name, now)], now)
 
     # -- reading -------------------------------------------------------------------------------------------
 

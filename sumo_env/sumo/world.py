@@ -65,7 +65,7 @@ class SumoSimulator:
             try:
                 scene = self._begin(scenario)
                 self._is_whole = True
-                return scene
+                return self._events.counted(scene)
             except self._session.errors as error:
                 self._session.forget()
                 self._check_window(error)
@@ -241,9 +241,10 @@ class SumoSimulator:
             self._note(reported)
             if trace:
                 scenes.append(self._read())
-        scene = scenes[-1] if scenes else self._read()
+        scenes = scenes or [self._read()]
+        scenes[-1] = self._events.counted(scenes[-1])
         met = {name: car.met() for name, car in self._cars.items()}
-        return Step(scene, met, (tuple(scenes) or (scene,)) if trace else ())
+        return Step(scenes[-1], met, tuple(scenes) if trace else ())
 
     def _come_and_go(self, commands: Commands) -> None:
         """What happens to vehicles between two policy steps."""

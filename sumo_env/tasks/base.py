@@ -26,7 +26,7 @@ from sumo_env.traffic.drivers import (
 )
 from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
-from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id
+from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id, lifetimes
 
 MOST_VARIED = 1000.0  # largest value that `Task.varied` takes
 FACTORS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")  # never 0
@@ -178,17 +178,17 @@ class Task:
         self, config: Config, vehicles: Iterable[VehicleSpec], spawns: Iterable[Spawn], seed: int
     ) -> tuple[RiskEvent, ...]:
         """What risky drivers among these vehicles do."""
-        lifetimes = [(spec.id, 0.0) for spec in vehicles]
         policy_steps = pace(self.frequency(config), int(config["policy_frequency"]))
-        lifetimes += [(spawn.vehicle.id, spawn.step / policy_steps) for spawn in spawns]
-        return draw_events(self.risk_rates, config["risk"], tuple(lifetimes), seed, config["duration"])
+        present = lifetimes(vehicles, spawns, policy_steps)
+        return draw_events(self.risk_rates, config["risk"], present, seed, config["duration"])
 
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
         """The scenario with the events that have begun `now` [s] after its start, and others from then on."""
         others = [spec for spec in scenario.vehicles if not (spec.id in scenario.further or spec.is_obstacle)]
         drawn = self.events({**config, "risk": scenario.risk}, others, scenario.spawns, seed)
         begun = [event for event in scenario.events if event.time <= now]
-        return replace(scenario, events=(*begun, *(event for event in drawn if event.time > now)))
+        events = (*begun, *(event for event in drawn if event.time > now))
+        return replace(scenario, events=events, tilt=None)  # nobody expects them to come more often
 
     def varied(self, changes: Mapping[str, Mapping[str, Any]]) -> Task:
         """This task with other values in its `risk_rates`, `risk_ranges` or `calibration`.

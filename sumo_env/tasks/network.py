@@ -292,7 +292,7 @@ class NetworkTask(Task):
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
         assert scenario.traffic is not None
         imagined = (*scenario.traffic.imagined, (now, seed))
-        return replace(scenario, traffic=replace(scenario.traffic, imagined=imagined))
+        return replace(scenario, traffic=replace(scenario.traffic, imagined=imagined), tilt=None)
 
     # -- reward and end ------------------------------------------------------------------------------------
 

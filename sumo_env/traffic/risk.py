@@ -76,6 +76,7 @@ class RiskEvent:
         accel: of a surge, or of a brake (negative) [m/s2].
         duration: of all but a cut-in [s].
         way: of a surge, to the next vehicle straight ahead, from centre to centre [m]; it pauses while that is nearer.
+        is_further: whether it comes only if its vehicle is near a learning car then (`tilt.Tilt`).
 
     Raises:
         ConfigError: there is no such kind.
@@ -88,6 +89,7 @@ class RiskEvent:
     accel: float = 0.0
     duration: float = 0.0
     way: float = FREE_WAY
+    is_further: bool = False
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS and not isinstance(self.kind, EventKind):
@@ -97,7 +99,9 @@ class RiskEvent:
             )
 
     def kind_on(self, simulator: str) -> Kind:
-        """Its kind on a simulator that has no kinds of a user's own. Raises ConfigError for those."""
+        """Its kind on a simulator without kinds of a user's own and further events. Raises ConfigError for those."""
+        if self.is_further:
+            raise ConfigError(f"{simulator} has no 'event_factor', which SUMO alone has")
         if isinstance(self.kind, EventKind):
             raise ConfigError(
                 f"{simulator} has no events of the kind {type(self.kind).__name__!r}, which SUMO alone has"

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from sumo_env.config import pace
 from sumo_env.networks import files, mapping
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex, Road, road
@@ -24,6 +25,7 @@ from sumo_env.traffic.drivers import (
     RiskRanges,
 )
 from sumo_env.traffic.risk import EventKind, RiskEvent, RiskRates
+from sumo_env.traffic.tilt import Tilt
 
 EGO = "ego"
 NO_EVENTS = RiskRates()
@@ -162,6 +164,7 @@ class Scenario:
         calibration: of SUMO's drivers.
         obeys_lights: whether the ego stops at red and yellow traffic lights of SUMO's files.
         traffic: of SUMO's files, in place of `vehicles`, `spawns` and `events`; the ego's place is then SUMO's choice.
+        tilt: how much more often events near learning cars come; None as often as drawn.
     """
 
     task: str
@@ -181,6 +184,7 @@ class Scenario:
     obeys_lights: bool = False
     traffic: SumoTraffic | None = None
     further: tuple[str, ...] = ()
+    tilt: Tilt | None = None
 
     def __deepcopy__(self, memo: dict[int, object]) -> Scenario:
         return self  # immutable
@@ -223,9 +227,32 @@ class Scenario:
         return replace(self, vehicles=vehicles, spawns=spawns)
 
     @property
+    def lifetimes(self) -> tuple[tuple[str, float], ...]:
+        """Ids of the vehicles that may have events, and when they come [s]."""
+        others = [spec for spec in self.vehicles if not (spec.id in self.further or spec.is_obstacle)]
+        return lifetimes(others, self.spawns, pace(self.simulation_frequency, self.policy_frequency))
+
+    def tilted(self, tilt: Tilt) -> Scenario:
+        """This scenario with further events near learning cars; SUMO's own traffic brings them as it comes."""
+        further = () if self.traffic is not None else tilt.further(self.lifetimes, self.seed)
+        events = tuple(sorted((*self.events, *further), key=lambda event: event.time))
+        return replace(self, events=events, tilt=tilt)
+
+    @property
     def cars(self) -> tuple[VehicleSpec, ...]:
         """The learning cars, the ego first."""
         return (self.ego, *(spec for spec in self.vehicles if spec.id in self.further))
+
+
+def lifetimes(
+    vehicles: Iterable[VehicleSpec], spawns: Iterable[Spawn], policy_steps: float
+) -> tuple[tuple[str, float], ...]:
+    """Ids of vehicles that are there from the start, or come later, and when they come [s].
+
+    policy_steps: per second [Hz].
+    """
+    later = [(spawn.vehicle.id, spawn.step / policy_steps) for spawn in spawns]
+    return (*((spec.id, 0.0) for spec in vehicles), *later)
 
 
 def car_id(number: int) -> str:

@@ -142,6 +142,18 @@ OPTIONS: list[tuple[dict[str, Any], str]] = [
     ({"calibration": {"ignores_inside": 1.5}}, "[0, 1]"),
     ({"calibration": {"tau": 2.0}, "scenario": None}, "either 'scenario' or"),
     ({"scenario": 3}, "a Scenario"),
+    ({"event_factor": 2.0}, "both be numbers"),
+    ({"event_reach": 2.0}, "both be numbers"),
+    ({"event_factor": "2", "event_reach": 30.0}, "both be numbers"),
+    ({"event_factor": True, "event_reach": 30.0}, "both be numbers"),
+    ({"event_factor": 0.5, "event_reach": 30.0}, "from 1 on"),
+    ({"event_factor": math.nan, "event_reach": 30.0}, "from 1 on"),
+    ({"event_factor": math.inf, "event_reach": 30.0}, "from 1 on"),
+    ({"event_factor": 1e9, "event_reach": 30.0, "config": {"risk": 1.0}}, "at most 1000 events"),
+    ({"event_factor": 2.0, "event_reach": 0.0}, "above 0 m"),
+    ({"event_factor": 2.0, "event_reach": math.nan}, "above 0 m"),
+    ({"event_factor": 2.0, "event_reach": 30.0, "config": {"risk": 0.0}}, "no effect at risk 0"),
+    ({"event_factor": 2.0, "event_reach": 30.0, "scenario": None}, "either 'scenario' or"),
 ]
 
 

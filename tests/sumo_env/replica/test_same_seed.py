@@ -122,6 +122,11 @@ def test_seeded_scenarios_are_those_of_sumo_env() -> None:
     sumo.reset(seed=1)
     assert env.scenario.vehicles == sumo.scenario.vehicles
     assert env.scenario.events == sumo.scenario.events
+    tilt = {"event_factor": 9.0, "event_reach": 50.0}
+    sumo.reset(seed=1, options={**tilt, "config": {"simulation_frequency": 15}})
+    for options in (tilt, {"scenario": sumo.scenario}):
+        with pytest.raises(ConfigError, match="the replica"):
+            env.reset(seed=1, options=options)
 
 
 @pytest.mark.long

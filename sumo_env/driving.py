@@ -226,8 +226,8 @@ class DrivingEnv(OnScreen, OwnSumo):
         action = self._chosen(action)
         command = self._command(action)
         is_late = self._is_over
-        step = self._drive({self.ego_id: command})
-        result = self._after(action, command, step.scene, step.ego)
+        step = self._drive({(ego := self.ego_id): command})
+        result = self._after(action, command, step.scene.seen_by(ego), step.egos[ego])
         self._follow_up()
         return (result[0], paid_late(), *result[2:]) if is_late else result
 
@@ -298,9 +298,7 @@ class DrivingEnv(OnScreen, OwnSumo):
             raise gym.error.ResetNeeded("call reset() before imagine()")
         twin = copy.deepcopy(self)
         # Seeds of scenarios are below 2**31, so an imagined future never equals the real one.
-        twin.scenario = self._drawn_by.imagined(self.scenario, self.config, self.scene.time, 2**31 + seed)
-        assert twin._simulator is not None
-        twin._simulator.imagine(twin.scenario)
+        twin._go_on(lambda whole: self._drawn_by.imagined(whole, self.config, self.scene.time, 2**31 + seed))
         return twin
 
     def close(self) -> None:

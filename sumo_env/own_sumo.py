@@ -5,10 +5,11 @@ from __future__ import annotations
 import copy
 import shlex
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import gymnasium as gym
 
@@ -38,6 +39,7 @@ class OwnSumo(ReadAsHighwayEnv):
     _options: tuple[str, ...]
     _commands: list[Commands]
     _handed_over = False
+    _leader: Self | None = None  # of a further learning car: the first one's, with the scenario of all
     steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
 
     def _prepare_sumo(
@@ -75,9 +77,9 @@ class OwnSumo(ReadAsHighwayEnv):
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
 
         ``episode.sumocfg`` shows what happened. The episode is driven a second time, in a simulator of its own, so that
-        every simulation step is in the files.
+        every simulation step is in the files. Each of several learning cars writes the same; the first one is blue.
         """
-        if self.scenario is None:
+        if self.scenario is None or (scenario := (self._leader or self).scenario) is None:
             raise gym.error.ResetNeeded("call reset() before export()")
         with tempfile.TemporaryDirectory(prefix="sumo_env-", dir=temporary_folder()) as temporary:
             recorded = None
@@ -85,16 +87,24 @@ class OwnSumo(ReadAsHighwayEnv):
                 simulator: Simulator = copy.deepcopy(self._given) or SumoProcess()
             except TypeError:  # it cannot be copied
                 simulator = SumoProcess()
-            if self.scenario.traffic is not None:
+            if scenario.traffic is not None:
                 recorded = Path(temporary) / "fcd.xml"
                 acting = [one for one in self._options if not is_output(one.removeprefix("--").split("=")[0])]
                 acting = [one for one in acting if not one.startswith(OUTPUT_DIR)]
                 simulator = SumoProcess(options=(*acting, f"--fcd-output={recorded}"))
             with closing(simulator):
-                scenes = [simulator.reset(self.scenario)]
+                scenes = [simulator.reset(scenario)]
                 for commands in self._commands:
                     scenes += simulator.step(commands, trace=True).trace
-            return export.write(Path(folder), self.scenario, scenes, recorded)
+            return export.write(Path(folder), scenario, scenes, recorded)
+
+    def _go_on(self, change: Callable[[Scenario], Scenario]) -> None:
+        """Let what is to come be that of a changed scenario."""
+        lead = self._leader or self
+        assert self.scenario is not None and lead.scenario is not None and self._simulator is not None
+        lead.scenario = change(lead.scenario)
+        self.scenario = replace(lead.scenario, ego=self.scenario.ego)
+        self._simulator.imagine(lead.scenario)
 
     def hand_over(self, to_sumo: bool = True) -> None:
         """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.

@@ -80,6 +80,8 @@ class Cars:
         self.envs = [make(given.config, None if number else render_mode) for number in range(given.cars)]
         self.first, self._removes_crashed = self.envs[0], removes_crashed
         self.first.cars = given.cars
+        for env in self.envs[1:]:
+            env._leader = self.first
         self.numbers: dict[str, int] = {}
         self.steps = 0
         self._scenario: Scenario
@@ -97,6 +99,7 @@ class Cars:
             if env.config != self.first.config:  # written to
                 env.configure(self.first.config)
             env._simulator, env._drawn_by = self.first._simulator, self.first._drawn_by
+            env._commands = self.first._commands
         by_type = scenario.traffic is not None and scenario.traffic.car_type
         self._known = () if by_type else (scenario.ego.id, *scenario.further)
         self.numbers, self.steps = {}, 0

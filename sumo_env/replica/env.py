@@ -183,9 +183,7 @@ class ReplicaEnv(DrivingEnv):
     def imagine(self, seed: int) -> DrivingEnv:
         """A copy in which drivers have other parameters too (`draws.with_other_drivers`), see `DrivingEnv.imagine`."""
         twin = super().imagine(seed)
-        assert twin.scenario is not None and twin._simulator is not None
-        twin.scenario = draws.with_other_drivers(twin.scenario, 2**31 + seed)
-        twin._simulator.imagine(twin.scenario)
+        twin._go_on(lambda whole: draws.with_other_drivers(whole, 2**31 + seed))
         return twin
 
     def _draw(self, task: Task) -> Scenario:

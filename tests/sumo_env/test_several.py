@@ -15,7 +15,7 @@ from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import car_id
 from tests.sumo_env.fleets import mismatch
-from tests.sumo_env.plans import build, needs_sumo, route_file
+from tests.sumo_env.plans import build, floating_car_data, needs_sumo, route_file
 
 pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test, parallel_seed_test
@@ -291,6 +291,30 @@ def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> 
             assert found[1]["car_0"] == 0.0 and env.agents == ["car_0", "car_1"]
     assert came == [1] * 9 + [2] * 31
     assert all(found[3].values()) and env.cars["car_0"].scene.place.lane[0].startswith("ab")
+
+
+@needs_sumo
+def test_a_further_car_writes_the_episode_of_all_and_imagines_what_is_to_come(
+    road: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """As the first one does, in a task and among vehicles of SUMO's files."""
+    fleet = sumo_env.parallel_env(road[0], {"risk": 1.0}, routes=road[1], vehicle_type="cav", max_cars=2)
+    for env in (several("sumo", "highway", 2), fleet):
+        env.reset(seed=0)
+        while len(env.ids) < 2 or env.cars["car_1"].steps < 3:
+            env.step(dict.fromkeys(env.agents, 1))
+        twin = env.cars["car_1"].imagine(1)
+        twin.step(1)
+        assert twin.ego_id == env.ids["car_1"]
+        written = []
+        for number, car in enumerate((*env.cars.values(), twin)):
+            car.export(tmp_path / str(number))
+            written.append(floating_car_data(tmp_path / str(number) / "recorded.fcd.xml"))
+            last = written[-1][max(written[-1])]
+            assert last.keys() == set(car.scene.ids)
+        assert written[0] == written[1] != written[2] and len(written[2]) > len(written[1])
+        twin.close()
+        env.close()
 
 
 @needs_sumo

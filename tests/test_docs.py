@@ -76,6 +76,7 @@ def test_links_resolve(page: Path) -> None:
         file, _, anchor = link.partition("#")
         target = (page.parent / file).resolve() if file else page
         assert target.exists(), link
+        assert page.parent == ROOT or target.is_relative_to(ROOT / "docs"), f"{link} is not on the site"
         if anchor and target.name != "api.md":  # there, mkdocstrings makes the headings
             assert anchor in anchors(target.read_text(encoding="utf-8")), link
 

@@ -189,7 +189,7 @@ def crashes(env: Any, action: int, scenarios: int, steps: int) -> int:
     "simulator", ["sumo", *(pytest.param(name, marks=pytest.mark.long) for name in ("highway-env", "stock"))]
 )
 def test_on_the_two_way_road_every_constant_action_crashes(simulator: str) -> None:
-    """README and docs/study.md: in 30 of 30 regular episodes, SLOWER too; "stock" is highway-env's two-way-v0 itself.
+    """README and the task's page: in 30 of 30 regular episodes, SLOWER too; "stock" is highway-env's two-way-v0 itself.
 
     The stock task has no time limit, so that it gets the 15 s of ours.
     """

@@ -25,7 +25,7 @@ from sumo_env.sumo.settings import file_settings
 from sumo_env.sumo.vehicle import OF_SUMO, Vehicle
 from sumo_env.sumo.world import GONE, SumoSimulator
 from sumo_env.traffic.drivers import deviation
-from sumo_env.traffic.risk import RiskEvent, draw_events
+from sumo_env.traffic.risk import RiskEvent, draw_events, draw_own_events
 from sumo_env.traffic.scenario import Scenario, SumoTraffic
 from sumo_env.traffic.sumo_files import own_folder
 
@@ -207,9 +207,9 @@ class FileSimulator(SumoSimulator):
         laws, lifetime = ((-inf, scenario.seed), *traffic.imagined, (inf, 0)), ((name, start),)
         events: list[RiskEvent] = []
         for (after, seed), (until, _) in pairwise(laws):
-            drawn = draw_events(
-                traffic.rates, scenario.risk, lifetime, seed, traffic.duration, f"risk events of {name}"
-            )
+            given, purpose = (scenario.risk, lifetime, seed, traffic.duration), f"risk events of {name}"
+            drawn = draw_events(traffic.rates, *given, purpose)
+            drawn += draw_own_events(traffic.own_kinds, *given, f"own {purpose}")
             events += [event for event in drawn if after < event.time <= until]
         if scenario.tilt is not None:
             events += scenario.tilt.further(lifetime, scenario.seed, f"further risk events of {name}")

@@ -25,7 +25,7 @@ from sumo_env.traffic.drivers import (
     RiskRanges,
 )
 from sumo_env.traffic.measured import MeasuredPool
-from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
+from sumo_env.traffic.risk import EventKind, RiskEvent, RiskRates, draw_events, draw_own_events
 from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id, lifetimes
 
 MOST_VARIED = 1000.0  # largest value that `Task.varied` takes
@@ -82,6 +82,7 @@ class Task:
     warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
     risk_ranges: ClassVar[RiskRanges] = RISK_RANGES
     risk_rates: ClassVar[RiskRates] = RiskRates()
+    own_kinds: ClassVar[tuple[EventKind, ...]] = ()  # of events, beside those of `risk_rates`
     measured: ClassVar[MeasuredPool] = MeasuredPool()  # the drivers of config["drivers"] = "measured"
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
     target_speeds: tuple[float, ...] = TARGET_SPEEDS
@@ -166,7 +167,7 @@ class Task:
         return lmap(reward, limits, (0.0, 1.0)) if limits and config.get("normalize_reward", True) else reward
 
     def arrived(self, ego: EgoState) -> bool:
-        """Whether the ego has reached the goal (intersection only)."""
+        """Whether the ego has reached a goal, which ends the episode; most tasks have none."""
         return False
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
@@ -179,8 +180,9 @@ class Task:
     ) -> tuple[RiskEvent, ...]:
         """What risky drivers among these vehicles do."""
         policy_steps = pace(self.frequency(config), int(config["policy_frequency"]))
-        present = lifetimes(vehicles, spawns, policy_steps)
-        return draw_events(self.risk_rates, config["risk"], present, seed, config["duration"])
+        drawn = config["risk"], lifetimes(vehicles, spawns, policy_steps), seed, config["duration"]
+        events = (*draw_events(self.risk_rates, *drawn), *draw_own_events(self.own_kinds, *drawn))
+        return tuple(sorted(events, key=lambda event: event.time))
 
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
         """The scenario with the events that have begun `now` [s] after its start, and others from then on."""

@@ -37,6 +37,13 @@ Route = Sequence[str]
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
 STEP = "0.1"  # [s]
 SIDE_RANGE = 50.0  # [m] to the sides that the observation shows: a lane is a sixteenth of it
+# What a task of SUMO's files is never asked, and what says it there.
+NOT_ASKED = {
+    "ego": "the ego is where its route or its vehicle begins",
+    "vehicles": "the files or the routes say who drives",
+    "spawns": "the files or the routes say who comes",
+    "events": "vehicles come later than events are drawn: 'risk_rates' and 'own_kinds' say what they do",
+}
 
 
 class NetworkTask(Task):
@@ -89,6 +96,9 @@ class NetworkTask(Task):
         ego_type: str = "",
     ) -> None:
         """See `sumo_env.env.SumoDrivingEnv`; errors are ValueErrors."""
+        for name, instead in NOT_ASKED.items():
+            if getattr(type(self), name) is not getattr(Task, name):
+                raise ConfigError(f"{type(self).__name__}.{name} is never asked: on SUMO's files {instead}")
         (file,) = paths("network", network)
         self.outputs: tuple[tuple[str, str], ...] = ()  # of the configuration, which are off
         if is_configuration(file):
@@ -260,6 +270,7 @@ class NetworkTask(Task):
                 wait=float(config["wait"]),
                 ranges=self.risk_ranges,
                 rates=self.risk_rates,
+                own_kinds=self.own_kinds,
                 models=models,
                 stopping=tuple(sorted(self._contents.stopping)),
                 duration=float(config["duration"]),

@@ -45,7 +45,14 @@ class EventKind:
 
     An event of it runs from its time on for its duration. ``at`` is a `sumo_env.sumo.events.Moment`: the event, the
     vehicle that it commands, and what SUMO knows. What a subclass has beside methods are fields of a frozen dataclass.
+
+    Attributes:
+        rate: events per vehicle and second at dose 1 [1/s], where a task names the kind in ``own_kinds``.
+        duration: of these events [s].
     """
+
+    rate: float = 0.0
+    duration: float = 0.0
 
     def __str__(self) -> str:
         return type(self).__name__
@@ -149,6 +156,35 @@ def draw_events(
                 more = more_of.get(kind) or {"direction": -1 if side < 0.5 else 1}
                 events.append(RiskEvent(time, vehicle, kind, **more))
     return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))
+
+
+def draw_own_events(
+    kinds: Sequence[EventKind],
+    dose: float,
+    vehicles: tuple[tuple[str, float], ...],
+    seed: int,
+    duration: float,
+    purpose: str = "own risk events",
+) -> tuple[RiskEvent, ...]:
+    """Events of a user's own kinds, sorted by time; processes and arguments as of `draw_events`.
+
+    Raises:
+        ConfigError: a kind has no rate or no duration.
+    """
+    for kind in kinds:
+        if not (kind.rate > 0.0 and kind.duration > 0.0):
+            raise ConfigError(
+                f"{kind!r} needs a rate [1/s] and a duration [s] above 0 to be one of 'own_kinds'"
+            )
+    if dose <= 0.0 or not kinds:
+        return ()
+    rng, events = stream(seed, purpose), list[RiskEvent]()
+    for vehicle, start in vehicles:
+        for kind in kinds:
+            for time, keep in rng.random((rng.poisson(kind.rate * duration), 2)).tolist():
+                if keep < dose and time * duration >= start:
+                    events.append(RiskEvent(time * duration, vehicle, kind, duration=kind.duration))
+    return tuple(sorted(events, key=lambda event: event.time))
 
 
 def has_room(there: State, others: Sequence[State], halves: Sequence[Half] = ()) -> bool:

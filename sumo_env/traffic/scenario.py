@@ -115,7 +115,7 @@ class SumoTraffic:
         elements: vehicle types, routes and vehicles that were drawn for this episode, as XML of an additional file.
         warm_up: time that the traffic drives before the ego comes [s].
         wait: longest time that SUMO may need to insert the ego from then on [s].
-        ranges, rates: what risk does to the drivers.
+        ranges, rates, own_kinds: what risk does to the drivers.
         models: car-following models of vehicle types, where the files name one.
         stopping: ids of vehicles and flows that need not arrive at the end of an edge.
         duration: of the episode [s], after which no event begins.
@@ -132,6 +132,7 @@ class SumoTraffic:
     wait: float = 600.0
     ranges: RiskRanges = RISK_RANGES
     rates: RiskRates = NO_EVENTS
+    own_kinds: tuple[EventKind, ...] = ()
     models: tuple[tuple[str, str], ...] = ()
     stopping: tuple[str, ...] = ()
     duration: float = 60.0
@@ -207,8 +208,9 @@ class Scenario:
 
     @property
     def has_own_kinds(self) -> bool:
-        """Whether there are events of a user's own kinds."""
-        return any(isinstance(event.kind, EventKind) for event in self.events)
+        """Whether there are, or may be, events of a user's own kinds."""
+        of_files = self.traffic is not None and bool(self.traffic.own_kinds)
+        return of_files or any(isinstance(event.kind, EventKind) for event in self.events)
 
     @property
     def specs(self) -> tuple[VehicleSpec, ...]:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import ExitStack, closing, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from sumo_env.config import ConfigError
+from sumo_env.driving import DrivingEnv
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.simulator import EgoCommand
 from sumo_env.tasks import network
+from sumo_env.tasks.highway import Highway
+from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.drivers import RISK_RANGES
+from sumo_env.traffic.risk import EventKind, RiskRates
 from tests.sumo_env.plans import build, needs_sumo, route_file
 
 pytestmark = needs_sumo
@@ -97,6 +104,59 @@ def test_bicycles_and_parameters_that_a_model_lacks_are_left_alone(road: tuple[P
     for name, before in values[0].items():
         assert values[1][name][:3] == before[:3]
         assert (values[1][name][3] == before[3]) == name.startswith("b.")
+
+
+@dataclass(frozen=True)
+class Crawl(EventKind):
+    """Drive at a walk."""
+
+    speed: float = 2.0
+
+    def command(self, at: Any) -> None:
+        at.vehicle.hold_speed()
+        at.vehicle.drive(self.speed)
+
+    def give_back(self, at: Any) -> None:
+        at.vehicle.free_speed()
+
+
+class Crawling(NetworkTask):
+    risk_rates = RiskRates()
+    own_kinds = (Crawl(rate=0.2, duration=3.0),)
+
+
+def test_a_kind_of_a_user_s_own_acts_on_the_vehicles_of_files(road: tuple[Path, Path]) -> None:
+    """In this process and in a worker, as often as its rate and the dose say; nothing at dose 0."""
+    acted: list[list[set[str]]] = []
+    with ExitStack() as opened:
+        for dose in (0.0, 1.0, 1.0):  # those but the first in workers
+            task = Crawling(*road, ["ab", "bc"])
+            env = opened.enter_context(closing(DrivingEnv(task, {"risk": dose, "warm_up": 60})))
+            acted.append([])
+            env.reset(seed=5)
+            for _ in range(8):
+                names = {name for name in env.scene.ids if name in env.scene.in_event}
+                assert all(env.sumo.vehicle.getSpeed(name) == pytest.approx(2.0) for name in names)
+                acted[-1].append(names)
+                env.step(4)
+    assert not any(acted[0])
+    assert acted[1] == acted[2]
+    assert sum(map(len, acted[1])) > 10
+
+
+@pytest.mark.parametrize("method", ["events", "vehicles", "spawns", "ego"])
+def test_what_a_task_of_files_is_never_asked_is_an_error(road: tuple[Path, Path], method: str) -> None:
+    task = type("Deaf", (NetworkTask,), {method: lambda *_: ()})
+    with pytest.raises(ConfigError, match=f"Deaf.{method} is never asked"):
+        task(*road, ["ab", "bc"])
+
+
+def test_a_kind_without_a_rate_is_an_error() -> None:
+    class Pressing(Highway):
+        own_kinds = (Crawl(duration=3.0),)
+
+    with pytest.raises(ConfigError, match="rate"):
+        DrivingEnv(Pressing()).reset(seed=0)
 
 
 def test_nobody_cuts_in_where_a_lorry_is(tmp_path: Path) -> None:

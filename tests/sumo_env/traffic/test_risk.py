@@ -3,27 +3,46 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
 
-from sumo_env.traffic.risk import CUT_IN_GAP, RiskRates, draw_events, free_way, has_room
+from sumo_env.traffic.risk import (
+    CUT_IN_GAP,
+    EventKind,
+    RiskEvent,
+    RiskRates,
+    draw_events,
+    draw_own_events,
+    free_way,
+    has_room,
+)
 
 RATES = RiskRates(cut_in=0.1, brake=0.1, surge=0.1)
 VEHICLES = tuple((f"v{k}", 0.0) for k in range(200))
+OWN = EventKind(rate=0.1, duration=2.0), EventKind(rate=0.2, duration=1.0)
+Draw = Callable[..., tuple[RiskEvent, ...]]
+both_laws = pytest.mark.parametrize(
+    "draw", [partial(draw_events, RATES), partial(draw_own_events, OWN)], ids=["given", "own"]
+)
 
 
-def test_events_come_at_the_rate_of_the_dose_and_a_smaller_dose_has_a_subset() -> None:
-    full = draw_events(RATES, 1.0, VEHICLES, 0, 20.0)
-    half = draw_events(RATES, 0.5, VEHICLES, 0, 20.0)
+@both_laws
+def test_events_come_at_the_rate_of_the_dose_and_a_smaller_dose_has_a_subset(draw: Draw) -> None:
+    full = draw(1.0, VEHICLES, 0, 20.0)
+    half = draw(0.5, VEHICLES, 0, 20.0)
     expected = 200 * 20.0 * 0.3  # Poisson, so its standard deviation is the root
     assert abs(len(full) - expected) < 5 * np.sqrt(expected)
     assert abs(len(half) - expected / 2) < 5 * np.sqrt(expected / 2)
     assert set(half) < set(full)
+    assert not draw(0.0, VEHICLES, 0, 20.0)
 
 
-def test_events_are_sorted_and_lie_within_the_episode_and_the_vehicle_s_life() -> None:
-    events = draw_events(RATES, 1.0, (("early", 0.0), ("late", 15.0)), 3, 200.0)
+@both_laws
+def test_events_are_sorted_and_lie_within_the_episode_and_the_vehicle_s_life(draw: Draw) -> None:
+    events = draw(1.0, (("early", 0.0), ("late", 15.0)), 3, 200.0)
     assert [event.time for event in events] == sorted(event.time for event in events)
     assert all(0.0 <= event.time < 200.0 for event in events)
     assert all(event.time >= 15.0 for event in events if event.vehicle == "late")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -84,13 +84,13 @@ class Network:
     def sumo_route(self, index: LaneIndex, destination: str | None = None) -> str:
         """Key in `routes` for a vehicle on lane `index` bound for node `destination`.
 
-        A node short of an end ("nxs") stands for the end that follows it; None for the only end there is.
-        Raises ValueError, naming the choices, if no route leads there.
+        A node short of an end ("nxs") stands for the end that follows it; None for the only end there is, or the first
+        one where lanes part. Raises ValueError, naming the choices, if no route leads there.
         """
         start = f"{index[0]}-{index[1]}>"
         if destination is None:
             ends = [key for key in self.routes if key.startswith(start)]
-            if len(ends) == 1:
+            if len(ends) == 1 or (ends and self.parting):
                 return ends[0]
         else:
             end = destination
@@ -102,6 +102,27 @@ class Network:
         raise ValueError(
             f"no route from {index} to {destination!r} on {self.road.name}; ends: {choices or 'none'}"
         )
+
+    @cached_property
+    def parting(self) -> Mapping[str, frozenset[str]]:
+        """SUMO's lanes that lead on to fewer edges than the lanes beside them, with these edges."""
+        joints = {lane.id: lane.following for lane in self.lanes.values() if not lane.id.startswith(":")}
+        leads = {
+            name: frozenset(_edge(self.sumo_lanes[joint].following[0]) for joint in following)
+            for name, following in joints.items()
+        }
+        whole: dict[str, frozenset[str]] = {}
+        for name, edges in leads.items():
+            whole[_edge(name)] = whole.get(_edge(name), frozenset()) | edges
+        return {name: edges for name, edges in leads.items() if edges and edges != whole[_edge(name)]}
+
+    def leading_on(self, key: str, lane: str) -> str:
+        """The key of a route that a SUMO lane leads along: `key`, or where lanes part that of another end."""
+        for other in (key, *self.routes) if lane in self.parting else ():
+            edges, edge = self.routes[other], _edge(lane)
+            if edge in edges[:-1] and edges[edges.index(edge) + 1] in self.parting[lane]:
+                return other
+        return key
 
     def sumo_index(self, index: LaneIndex) -> int:
         """SUMO's number of a lane on its edge, 0 for the rightmost."""

@@ -38,6 +38,7 @@ class Ego:
         self._route = ego_route(self._road, spec)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
         self._lane, self._stretch = "", 1.0  # of SUMO
+        self._way = network.sumo_route(spec.lane, spec.destination)  # of SUMO
         self._acceleration: float | None = None
 
     def obey(self, command: EgoCommand) -> None:
@@ -63,6 +64,9 @@ class Ego:
         lane = session.vehicle.getLaneID(self._name)
         if lane != self._lane:
             self._lane, self._stretch = lane, self._network.stretch(lane)
+            if self.vehicle.has_lanes and (way := self._network.leading_on(self._way, lane)) != self._way:
+                self._way = way  # where lanes part, its lane decides
+                session.vehicle.setRouteID(self._name, way)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         if self.vehicle.has_speed:
             self.vehicle.drive(distance / session.step_length * self._stretch)

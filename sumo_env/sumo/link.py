@@ -1,116 +1,61 @@
-"""How this process starts a worker and gets a socket to it, on every system, and messages on that socket.
-
-Where a process can hand an open socket to one that it starts, it does so. Elsewhere, as on Windows, the worker connects
-to a port of this machine that is open for this alone, and shows a key that it was given on its standard input.
-"""
+"""How this process starts a worker and gets a socket to it, and messages on that socket."""
 
 from __future__ import annotations
 
-import hmac
 import os
 import pickle
-import secrets
 import socket
 import subprocess
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
-from sumo_env.simulator import SimulatorError
-
-INHERITS = os.name == "posix"  # whether a process can be given an open socket when it is started
 # Whether a process that has loaded SUMO can be forked. macOS has fork, but libraries of the system may fail after it.
 FORKS = sys.platform.startswith("linux")
-KEY = 32  # bytes
 SIZE = 8  # bytes of a message's length
-PATIENCE = 1.0  # [s] between two looks at whether a worker is still alive, and for its key
 
 
 def start(
     program: list[str], arguments: list[str], environment: Mapping[str, str]
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """Start a program that calls `connect` with its first argument; the process, and the socket to it.
-
-    If the program ends before it connects, the socket is one that nobody answers.
-    """
+    """Start a program that calls `connect` with its first argument; the process, and the socket to it."""
     options: dict[str, Any] = {
         "env": environment,
         "start_new_session": True,  # Ctrl-C in the terminal is for this process alone; the same on Windows:
         "creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
     }
-    try:
-        os.getcwd()
-    except FileNotFoundError:  # somebody has deleted it, and Python does not start there
-        options["cwd"] = os.sep
-    if INHERITS:
-        ours, theirs = socket.socketpair()
-        with theirs:  # closed here, so that reading ends when the worker does
-            descriptor, number = [f"descriptor:{theirs.fileno()}"], theirs.fileno()
-            child = subprocess.Popen(
-                [*program, *descriptor, *arguments], stdin=subprocess.DEVNULL, pass_fds=(number,), **options
-            )
-        return child, ours
-    key = secrets.token_bytes(KEY)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = f"port:{server.getsockname()[1]}"
-        child = subprocess.Popen([*program, port, *arguments], stdin=subprocess.PIPE, **options)
-        assert child.stdin is not None
-        with suppress(OSError), child.stdin:
-            child.stdin.write(key)
-        server.settimeout(PATIENCE)
-        while child.poll() is None:
-            with suppress(OSError):
-                ours, _ = server.accept()
-                if _knows(ours, key):
-                    ours.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    return child, ours
-                ours.close()
     ours, theirs = socket.socketpair()
-    theirs.close()
+    with theirs:  # closed here, so that reading ends when the worker does
+        if sys.platform == "win32":
+            child = subprocess.Popen([*program, "shared", *arguments], stdin=subprocess.PIPE, **options)
+            assert child.stdin is not None
+            with child.stdin:
+                child.stdin.write(theirs.share(child.pid))
+        else:
+            number = theirs.fileno()
+            command = [*program, str(number), *arguments]
+            child = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(number,), **options)
     return child, ours
 
 
-def interpreter() -> str:
-    """A program that runs Python; where Python is embedded, ``multiprocessing.set_executable`` chooses it.
-
-    Raises:
-        SimulatorError: there is none.
-    """
-    from multiprocessing.spawn import get_executable
-
-    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
-    chosen, usual = os.fsdecode(get_executable() or ""), os.path.join(sys.exec_prefix, "bin", version)
-    own = sys.executable or ""
-    programs = [chosen, own, usual]
-    if chosen in ("", own) and "python" not in os.path.basename(own):
-        programs.reverse()  # `own` is a program in which Python is embedded
-    for program in programs:
-        if os.access(program, os.X_OK):
-            return program
-    raise SimulatorError(
-        f"a further environment needs a Python of its own, and there is none at {chosen or usual!r}: call "
-        f"multiprocessing.set_executable with the path of {version}"
-    )
-
-
-def _knows(other: socket.socket, key: bytes) -> bool:
-    """Whether the other end sends the key."""
-    other.settimeout(PATIENCE)
-    with suppress(OSError), other.makefile("rb") as stream:
-        return hmac.compare_digest(stream.read(KEY), key)
-    return False
-
-
-def connect(where: str) -> socket.socket:
+def connect(number: str) -> socket.socket:
     """In the worker: the other end of the socket."""
-    kind, _, number = where.partition(":")
-    if kind == "descriptor":
-        return socket.socket(fileno=int(number))
-    link = socket.create_connection(("127.0.0.1", int(number)))
-    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    link.sendall(sys.stdin.buffer.read(KEY))
-    return link
+    if sys.platform == "win32":
+        return socket.fromshare(sys.stdin.buffer.read())
+    return socket.socket(fileno=int(number))
+
+
+def interpreter() -> str:
+    """A program that runs Python: that of this process, or where Python is embedded, the one beside its library.
+
+    ``multiprocessing.set_executable`` chooses another one.
+    """
+    from multiprocessing.spawn import get_executable  # late: a worker does not need it
+
+    chosen = os.fsdecode(get_executable() or "")
+    is_python = chosen != sys.executable or "python" in os.path.basename(chosen)
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    return chosen if is_python and chosen else os.path.join(sys.exec_prefix, "bin", version)
 
 
 def send(link: socket.socket, pickled: bytes) -> None:

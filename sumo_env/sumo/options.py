@@ -38,18 +38,17 @@ def check_live(live: str | None) -> bool:
         raise ConfigError(f"live must be None or 'sumo-gui', not {live!r}")
     if live is None:
         return False
-    found, needed = {}, version("libsumo")
+    needed = version("libsumo")
     for package in ("eclipse-sumo", "traci"):
         try:
-            found[package] = version(package)
+            found = version(package)
         except PackageNotFoundError:
-            found[package] = "missing"
-    if set(found.values()) != {needed}:
-        said = ", ".join(f"{package} is {what}" for package, what in found.items())
-        raise ImportError(
-            f"live='sumo-gui' needs eclipse-sumo and traci {needed}, as libsumo has it, but {said}: "
-            f"pip install eclipse-sumo=={needed} traci=={needed} (or, in a clone of this project, pip install '.[gui]')"
-        )
+            found = "missing"
+        if found != needed:
+            raise ImportError(
+                f"live='sumo-gui' needs eclipse-sumo and traci {needed}, as libsumo has it, but {package} is {found}: "
+                f"pip install eclipse-sumo=={needed} traci=={needed} (in a clone of this project: pip install '.[gui]')"
+            )
     return True
 
 
@@ -77,15 +76,13 @@ def check_options(options: Sequence[str], of_files: bool) -> tuple[str, ...]:
             raise ConfigError(f"sumo_options: expected the long name of one of SUMO's options, not {part!r}")
         if name in (*REFUSED, *(REFUSED_FOR_FILES if of_files else REFUSED_BY_TASKS)):
             raise ConfigError(
-                f"SUMO's option {name} is the environment's own: roads and vehicles are those of SumoDrivingEnv, steps "
-                "and ends follow 'begin', 'simulation_frequency' and 'duration', SUMO's seed is that of reset(), and "
-                "export() writes an episode for sumo-gui"
+                f"SUMO's option {name} is the environment's own: files are those of SumoDrivingEnv, times those of the "
+                "configuration, and SUMO's seed is that of reset()"
             )
         if not of_files and name.startswith(OF_FILES):
             raise ConfigError(
-                f"SUMO's option {name} has no effect here: it is for the vehicles of SUMO's files, and this task "
-                "places every vehicle itself, by the seed of reset(). Keys of the configuration change the traffic; "
-                "SumoDrivingEnv drives SUMO's files"
+                f"SUMO's option {name} has no effect here, where the task places every vehicle, by the seed of "
+                "reset(): it is for SumoDrivingEnv, which drives SUMO's files"
             )
     return tuple(f"{name}={value}" for name, value in found.items())
 
@@ -98,10 +95,8 @@ def check_copyable(options: Sequence[str]) -> None:
     """
     for option in options:
         name = option.partition("=")[0]
-        writes = (
-            "output" in name or "log" in name or name.startswith("--save-") or name == "--additional-files"
-        )
-        if writes or name.endswith("threads"):
+        writes = "output" in name or "log" in name or name.startswith("--save-")
+        if writes or name == "--additional-files" or name.endswith("threads"):
             raise TypeError(
                 f"an environment with SUMO's option {name} cannot be copied: copies would write to the same files, "
                 "and have none of the threads"

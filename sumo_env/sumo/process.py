@@ -332,11 +332,13 @@ class _Worker:
         if isinstance(error, TimeoutError):
             return f"gave no answer for {self._socket.gettimeout():g} s"
         if self._child is None:
-            return "is gone (it was a copy: how it ended is not known)"
-        with suppress(subprocess.TimeoutExpired):
+            return "is gone (it was a copy)"
+        try:
             code = self._child.wait(GRACE)
-            return f"was killed by {_signal(-code)}" if code < 0 else f"ended with exit code {code}"
-        return f"closed its connection ({error})"
+        except subprocess.TimeoutExpired:
+            return f"closed its connection ({error})"
+        killer = next((one.name for one in signal.Signals if one == -code), f"signal {-code}")
+        return f"was killed by {killer}" if code < 0 else f"ended with exit code {code}"
 
     def end(self, grace: float = GRACE) -> None:
         """See to it that the worker is gone, after `grace` [s] to end by itself."""
@@ -366,13 +368,6 @@ class _Worker:
         except OSError:
             pass
         return True
-
-
-def _signal(number: int) -> str:
-    """The name of a signal; those for real time have none."""
-    with suppress(ValueError):
-        return signal.Signals(number).name
-    return f"signal {number}"
 
 
 _processes: weakref.WeakSet[SumoProcess] = weakref.WeakSet()

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from math import inf
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 from xml.parsers import expat
 
 from sumo_env.config import ConfigError, did_you_mean
@@ -32,30 +32,11 @@ UNSORTED = (
 )
 
 
-class Found(NamedTuple):
-    """What one file holds: as of `Contents`, and who departs, with the time [s] where it is known."""
-
-    includes: list[Path]
-    ids: set[str]
-    models: dict[str, str]
-    distributions: set[str]
-    stopping: set[str]
-    departing: list[Departure]
-
-
-class Departure(NamedTuple):
-    """A vehicle, flow, person or container; tag: of its element; is_line: whether it is a line of public transport."""
-
-    name: str
-    tag: str
-    is_line: bool
-    time: float | None
-
-
 class Contents:
     """What route and additional files hold together.
 
     Attributes:
+        vehicles: ids of vehicles, trips and flows.
         ids: of all elements.
         models: car-following models of the vehicle types, by type; "" where a type names none.
         distributions: ids of distributions of vehicle types.
@@ -66,6 +47,7 @@ class Contents:
     """
 
     def __init__(self) -> None:
+        self.vehicles: set[str] = set()
         self.ids: set[str] = set()
         self.models: dict[str, str] = {}
         self.distributions: set[str] = set()
@@ -73,28 +55,6 @@ class Contents:
         self.stopping: set[str] = set()
         self.first_departure: float | None = None
         self.left_out: list[str] = []
-        self._vehicles: set[str] = set()
-
-    def add(self, found: Found, in_order: bool) -> None:
-        """Add a file; in_order: whether SUMO leaves out what departs before what stands before it."""
-        latest = -inf
-        self.ids |= found.ids
-        self.models |= found.models
-        self.distributions |= found.distributions
-        self.stopping |= found.stopping
-        for name, tag, is_line, time in found.departing:
-            self.people |= tag in PEOPLE
-            if tag in VEHICLES:
-                self._vehicles.add(name)
-            if time is None:
-                continue
-            if in_order and time < latest:
-                self.left_out.append(name)
-                continue
-            if not is_line:  # lines of public transport may all stand before the others
-                latest = max(latest, time)
-            if self.first_departure is None or time < self.first_departure:
-                self.first_departure = time
 
     def check_vehicle(self, name: str) -> None:
         """That a vehicle of this id comes, as far as the files say.
@@ -102,7 +62,7 @@ class Contents:
         Raises:
             ConfigError: there is none; the message names near ids.
         """
-        known = sorted(self._vehicles)
+        known = sorted(self.vehicles)
         stem, _, number = name.rpartition(".")
         if name in self.left_out or stem in self.left_out:
             raise ConfigError(f"SUMO leaves out the vehicle {name!r}: {UNSORTED}")
@@ -132,13 +92,26 @@ def check_files(options: Mapping[str, str]) -> Contents:
     Raises:
         ConfigError: a file cannot be read, or holds what would end the process; the message names file and line.
     """
+    named = ((option, name) for option in INPUTS for name in options.get(option, "").split(",") if name)
+    files = tuple((option, *_stamped(Path(name))) for option, name in named)
+    return _contents(files, options.get("route-steps") != "0")
+
+
+@lru_cache(64)
+def _contents(files: tuple[tuple[str, Path, int, int], ...], in_order: bool) -> Contents:
+    """What files hold, which are known by option, path, time and size; in_order: whether SUMO wants routes sorted."""
     contents = Contents()
-    for option in INPUTS:
-        for name in filter(None, options.get(option, "").split(",")):
-            found = _check(Path(name), option == "net-file", ())
-            if option in ("additional-files", "route-files"):
-                contents.add(found, option == "route-files" and options.get("route-steps") != "0")
+    for option, path, *_ in files:
+        _Reader(contents, path, option == "net-file", in_order and option == "route-files").read()
     return contents
+
+
+def _stamped(path: Path) -> tuple[Path, int, int]:
+    path = Path(os.path.realpath(path))  # Path.resolve fails where links form a circle
+    if not os.path.isfile(path):
+        raise ConfigError(f"there is no file {path}")
+    about = path.stat()
+    return path, about.st_mtime_ns, about.st_size
 
 
 def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
@@ -157,36 +130,27 @@ def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
             raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
 
 
-def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> Found:
-    path = Path(os.path.realpath(path))  # Path.resolve fails where links form a circle
-    if not os.path.isfile(path):
-        raise ConfigError(f"there is no file {path}")
-    about = path.stat()
-    found = _read(path, is_network, about.st_mtime_ns, about.st_size)
-    for further in filter(os.path.isfile, found.includes):  # without a word SUMO goes on without the others
-        if further in (path, *including):
-            raise ConfigError(f"{path} includes {further}, which includes it: SUMO would not come to an end")
-        _check(further, is_network, (path, *including))
-    return found
-
-
-@lru_cache(256)
-def _read(path: Path, is_network: bool, changed: int, size: int) -> Found:
-    return _Reader(path, is_network).read()
-
-
 class _Reader:
-    """Goes through the elements of one file."""
+    """Goes through the elements of one file, and notes what is in it."""
 
-    def __init__(self, path: Path, is_network: bool) -> None:
-        self._path, self._is_network = path, is_network
+    def __init__(
+        self,
+        contents: Contents,
+        path: Path,
+        is_network: bool,
+        in_order: bool,
+        including: tuple[Path, ...] = (),
+    ) -> None:
+        """in_order: whether SUMO leaves out what departs before what stands before it."""
+        self._contents, self._path, self._is_network, self._in_order = contents, path, is_network, in_order
+        self._including, self._includes = (path, *including), list[Path]()
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler, self._parser.EndElementHandler = self._element, self._end
-        self._found = Found([], set(), {}, set(), set(), [])
+        self._latest = -inf  # departure [s]
         self._edge, self._lanes = "", set[str]()  # the edge around an element, and the numbers of its lanes
 
-    def read(self) -> Found:
-        """What the file holds."""
+    def read(self) -> None:
+        """Read the file; of included ones it is only looked whether SUMO survives them."""
         path = self._path
         try:
             with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as opened:
@@ -197,7 +161,14 @@ class _Reader:
             raise
         except (OSError, EOFError, LookupError, ValueError, zlib.error, expat.ExpatError) as error:
             raise ConfigError(f"{path} cannot be read: {error}") from None
-        return self._found
+        for further in filter(
+            os.path.isfile, self._includes
+        ):  # without a word SUMO goes on without the others
+            if further in self._including:
+                raise ConfigError(
+                    f"{path} includes {further}, which includes it: SUMO would not come to an end"
+                )
+            _Reader(Contents(), further, self._is_network, False, self._including).read()
 
     def _refuse(self, what: str) -> NoReturn:
         raise ConfigError(f"{self._path}, line {self._parser.CurrentLineNumber}: {what}")
@@ -229,18 +200,30 @@ class _Reader:
             self._lanes.add(number)
 
     def _note(self, tag: str, has: Mapping[str, str]) -> None:
-        name = has.get("id", "")
-        self._found.ids.add(name)
+        name, contents = has.get("id", ""), self._contents
+        contents.ids.add(name)
         if tag == "vType":
-            self._found.models[name] = has.get("carFollowModel", "")
+            contents.models[name] = has.get("carFollowModel", "")
         if tag == "vTypeDistribution":
-            self._found.distributions.add(name)
+            contents.distributions.add(name)
         if has.get("arrivalPos", "max") != "max":
-            self._found.stopping.add(name)
-        if tag in DEPARTING:
-            text = has.get("depart", has.get("begin", ""))
-            time = seconds("depart", text) if re.fullmatch(r"[\d.:]+", text) else None
-            self._found.departing.append(Departure(name, tag, bool(has.get("line")), time))
+            contents.stopping.add(name)
+        if tag in VEHICLES:
+            contents.vehicles.add(name)
+        contents.people |= tag in PEOPLE
+        depart = has.get("depart", has.get("begin", ""))
+        if tag in DEPARTING and re.fullmatch(r"[\d.:]+", depart):
+            self._depart(name, seconds("depart", depart), bool(has.get("line")))
+
+    def _depart(self, name: str, time: float, is_line: bool) -> None:
+        """is_line: whether it is a line of public transport, all of which may stand before the others."""
+        if self._in_order and time < self._latest:
+            self._contents.left_out.append(name)
+            return
+        if not is_line:
+            self._latest = max(self._latest, time)
+        first = self._contents.first_departure
+        self._contents.first_departure = time if first is None else min(first, time)
 
     def _other_files(self, tag: str, has: Mapping[str, str]) -> None:
         """Files that an element reads or writes."""
@@ -255,7 +238,7 @@ class _Reader:
         if tag == "include":
             if not (name := has.get("href", "")):
                 self._refuse("<include> names no file, which ends the process")
-            self._found.includes.append(Path(os.path.realpath(self._path.parent / name)))
+            self._includes.append(Path(os.path.realpath(self._path.parent / name)))
         if tag == "variableSpeedSign" and not (self._path.parent / has.get("file", "")).exists():
             self._refuse(f"there is no file {has['file']!r}, which ends the process")
 

@@ -2,30 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
 from sumo_env.env import DrivingEnv
-from sumo_env.sumo import link
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.traffic.scenario import Scenario
-
-
-@pytest.fixture
-def no_inheritance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on Windows: a process cannot hand a socket to one that it starts, and none is forked."""
-    popen = subprocess.Popen
-
-    def without_pass_fds(*arguments: Any, pass_fds: None = None, **keywords: Any) -> Any:
-        return popen(*arguments, **keywords)
-
-    monkeypatch.setattr(link, "INHERITS", False)
-    monkeypatch.setattr(link, "FORKS", False)
-    monkeypatch.setattr(subprocess, "Popen", without_pass_fds)
-
 
 Change = Callable[[Scenario], Scenario]
 

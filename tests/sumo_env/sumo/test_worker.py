@@ -55,11 +55,9 @@ def simulator() -> Iterator[SumoProcess]:
 # -- from its start to its end, by each way to a worker ----------------------------------------------------
 
 
-@pytest.fixture(params=["handed over", "connected", "forked"])
+@pytest.fixture(params=["started", "forked"])
 def begun(request: pytest.FixtureRequest) -> Iterator[SumoProcess]:
     """A worker of each kind, one step into episode 7 of the fake simulator."""
-    if request.param == "connected":
-        request.getfixturevalue("no_inheritance")
     simulator = SumoProcess(FAKE)
     with pytest.raises(RuntimeError, match=r"call reset\(\)"):
         simulator.step({"ego": COMMAND})
@@ -96,10 +94,7 @@ def test_closing_ends_the_worker_and_may_be_repeated(begun: SumoProcess) -> None
     assert begun.reset(scenario()).time == 0.0  # as a simulator in this process could be
 
 
-@pytest.mark.parametrize("connects", [False, True])
-def test_a_forgotten_simulator_ends_its_worker(connects: bool, request: pytest.FixtureRequest) -> None:
-    if connects:
-        request.getfixturevalue("no_inheritance")
+def test_a_forgotten_simulator_ends_its_worker() -> None:
     simulator = SumoProcess(FAKE)
     simulator.reset(scenario())
     pid = simulator.pid

@@ -7,11 +7,9 @@ again, and gives the same bits.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import gymnasium as gym
@@ -48,9 +46,8 @@ class DQNConfig:
     clip_goals: bool = True  # at what the rewards met so far allow at this discount, see `DQN.bounds`
     max_grad_norm: float = 10.0  # of the whole gradient (Stable-Baselines3)
     target_interval: int = 1  # updates between two moves of the target network towards the online network
-    tau: float = (
-        0.00125  # how far it moves, 1 is a copy; as far in four steps as .005 (Lillicrap et al. 2016)
-    )
+    # how far it moves, 1 is a copy; as far in four steps as .005 (Lillicrap et al. 2016)
+    tau: float = 0.00125
     replay_capacity: int = 50_000  # transitions (rl-agents)
     warm_up: int = 1000  # random steps before the first update
     standardise: bool = True  # inputs, with mean and standard deviation of the warm-up
@@ -138,8 +135,6 @@ class DQN:
             from agents.by_hand import ByHand  # needs numba
 
             self._by_hand = ByHand(self.online, self.target, self._weights, self._target_weights)
-        elif config.by_hand:
-            say_torch()
 
     def act(self, observation: np.ndarray, epsilon: float) -> int:
         """A random action with probability ``epsilon``, else the greedy one."""
@@ -176,8 +171,7 @@ class DQN:
     def update(self) -> Tensor:
         """One gradient step on a batch from the replay, then a move of the target network.
 
-        Returns the mean squared temporal-difference error of the batch, before that step. Raises ValueError when the
-        replay is empty.
+        Returns the mean squared temporal-difference error of the batch, before that step.
         """
         config = self.config
         batch = self.replay.sample(self._sampling, config.batch_size, config.device)
@@ -326,13 +320,6 @@ def train(
     return training.trained()
 
 
-@cache
-def say_torch() -> None:
-    """Say it once in a process."""
-    text = "agents: torch makes the updates; compiled ones are for the network attention on the CPU"
-    print(text, file=sys.stderr, flush=True)
-
-
 def greedy(config: DQNConfig) -> type[Greedy]:
     """The kind of policy that such a learner makes."""
     if not config.is_by_hand:
@@ -343,10 +330,12 @@ def greedy(config: DQNConfig) -> type[Greedy]:
 
 
 def _sizes(observations: gym.Space, actions: gym.Space) -> tuple[gym.spaces.Box, int]:
-    if not isinstance(observations, gym.spaces.Box) or not isinstance(actions, gym.spaces.Discrete):
-        raise ValueError(
-            f"A DQN needs Box observations and Discrete actions, got {observations} and {actions}."
-        )
-    if actions.start != 0:
-        raise ValueError(f"The actions must be numbered from 0, got {actions}.")
-    return observations, int(actions.n)
+    if (
+        isinstance(observations, gym.spaces.Box)
+        and isinstance(actions, gym.spaces.Discrete)
+        and actions.start == 0
+    ):
+        return observations, int(actions.n)
+    raise ValueError(
+        f"A DQN needs Box observations and Discrete actions from 0, got {observations}, {actions}."
+    )

@@ -23,12 +23,10 @@ class Replay:
     """The last ``capacity`` transitions (s, a, r, s', terminated); an observation has the shape ``shape``.
 
     ``terminated`` is stored, not "done": an episode cut by its time limit goes on in the values (bootstrap), one ended
-    by a crash does not. Raises ValueError for a capacity below 1.
+    by a crash does not.
     """
 
     def __init__(self, capacity: int, shape: tuple[int, ...]) -> None:
-        if capacity < 1:
-            raise ValueError(f"The replay needs a capacity of at least 1, got {capacity}.")
         self.capacity = capacity
         self.added = 0  # transitions ever added; the newest lies at (added - 1) % capacity
         self.least = self.most = 0.0  # of all rewards ever added, and of none
@@ -61,9 +59,7 @@ class Replay:
         self.least, self.most = min(self.least, reward), max(self.most, reward)
 
     def sample(self, generator: np.random.Generator, count: int, device: str = "cpu") -> Batch:
-        """``count`` transitions, uniform with replacement. Raises ValueError on an empty replay."""
-        if self.added == 0:
-            raise ValueError("Cannot sample from an empty replay: add transitions first.")
+        """``count`` transitions, uniform with replacement."""
         rows = generator.integers(len(self), size=count)
         return Batch(*(torch.from_numpy(array[rows]).to(device) for array in self.arrays.values()))
 

@@ -20,7 +20,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, whole_number
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import MAX_SPEED, Place
 from sumo_env.simulator import Command, EgoCommand, SteeringCommand
@@ -323,8 +323,7 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
     lengthwise, sideways = (axis == BY_SUMO for axis in axes)
     if steers and (lengthwise or sideways):
         raise ConfigError(
-            "SUMO drives nothing on the replica: 'longitudinal' and 'lateral' can be \"sumo\" on sumo/* and on "
-            "networks of your own"
+            "SUMO drives nothing on the replica: 'longitudinal' and 'lateral' are True or False"
         )
     agent = bool(axes[0]) and not lengthwise, bool(axes[1]) and not sideways
     shared: dict[str, Any] = {"by_sumo": (lengthwise, sideways)}
@@ -337,19 +336,14 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
     if not steers:
         if "steering_range" in given or given.get("dynamical"):
             raise ConfigError(
-                f"action type {kind!r} with 'steering_range' or 'dynamical': steering is the replica's (replica/*). "
-                "SUMO moves cars along lanes, where the lateral number changes lanes"
+                "'steering_range' and 'dynamical' are for replica/*: SUMO moves cars along lanes"
             )
         given["steering_range"] = -1.0, 1.0
     given |= {"longitudinal": agent[0], "lateral": agent[1], "steers": steers}
     if kind == "ContinuousAction" and any(agent):
         return ContinuousAction(**given)
-    count = action.get("actions_per_axis", 3)
-    if count != int(count) or not 1 <= count <= MOST_PER_AXIS:
-        raise ConfigError(
-            f"'actions_per_axis' must be a whole number from 1 to {MOST_PER_AXIS}, not {count!r}"
-        )
-    return DiscreteAction(**{**given, "actions_per_axis": int(count)})
+    count = whole_number("'actions_per_axis'", action.get("actions_per_axis", 3), MOST_PER_AXIS)
+    return DiscreteAction(**{**given, "actions_per_axis": count})
 
 
 def _rising(what: str, given: Any, most: float = inf) -> tuple[float, ...]:
@@ -360,7 +354,6 @@ def _rising(what: str, given: Any, most: float = inf) -> tuple[float, ...]:
         numbers = ()
     rises = all(low < high for low, high in pairwise(numbers))  # which is false for NaN
     if not 2 <= len(numbers) <= most or not rises or not isfinite(numbers[-1] - numbers[0]):
-        raise ConfigError(
-            f"{what} must be {'two' if most == 2 else 'at least two'} rising numbers, not {given!r}"
-        )
+        count = "two" if most == 2 else "at least two"
+        raise ConfigError(f"{what} must be {count} rising numbers, not {given!r}")
     return numbers

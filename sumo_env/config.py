@@ -30,6 +30,7 @@ COMMON: Config = {
 
 MEASURED = "measured"
 DRIVERS = ("highway-env", MEASURED)
+FREQUENCIES = ("simulation_frequency", "policy_frequency")
 STEP_ERROR = 0.0101  # of SUMO's step: 1 %, and rounding
 STOCK_FREQUENCY = 15  # [Hz] highway-env's ``simulation_frequency``
 
@@ -147,11 +148,6 @@ IGNORED = {
     "spawn_probability", "speed_limit", "state_noise", "steering_range", "success_goal_reward",
     "terminate_off_road", "vehicles_count", "vehicles_density",
 }  # fmt: skip
-# Arguments that some environments have and others have not, and which ones have them.
-ARGUMENTS = {
-    ("simulator", "sumo_options", "live", "output_dir"): "single environments on SUMO: gym.make('sumo/...')",
-    ("scenarios", "variant", "risk_law", "threads"): "highway-env's physics: 'replica/...'",
-}
 # Keys by what other tasks or earlier versions of highway-env call them.
 RENAMED = {
     "initial_spacing": "ego_spacing",
@@ -200,6 +196,17 @@ def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
     return str(value)
 
 
+def whole_number(name: str, value: Any, most: int) -> int:
+    """A value that can only be a whole number from 1 to `most`.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if not isinstance(value, int | float) or value != int(value) or not 1 <= value <= most:
+        raise ConfigError(f"{name} must be a whole number from 1 to {most}, not {value!r}")
+    return int(value)
+
+
 def keys_of(config: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """The keys of a configuration that a user may have given. Raises ConfigError where it is no dict."""
     if not isinstance(config, Mapping | None):
@@ -244,28 +251,21 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     return config
 
 
-def refuse_misplaced(keywords: Mapping[str, Any]) -> None:
-    """An error about arguments of ``gym.make`` that an environment does not have; most are keys of `config`.
-
-    It begins as Python's own, which TorchRL looks for.
-    """
-    for key, value in keywords.items():
-        instead = f"a key of the configuration is set by gym.make(..., config={{{key!r}: {value!r}}})"
-        if place := next((place for names, place in ARGUMENTS.items() if key in names), ""):
-            instead = f"it is an argument of {place}"
-        raise TypeError(f"__init__() got an unexpected keyword argument {key!r}; {instead}")
-
-
 def pace(simulation_frequency: int, policy_frequency: int) -> float:
     """Policy steps in a second of simulated time [Hz]; one has a whole number of simulation steps."""
     return simulation_frequency / (simulation_frequency // policy_frequency)
 
 
 @cache
+def warn_once(message: str) -> None:
+    """Warn, once in a process."""
+    gym.logger.warn("%s", message)  # gymnasium formats what it is given, and ids may have a %
+
+
 def ignore(where: str, key: str, hint: str) -> None:
-    """Warn, once, that a key has no effect; a list of all keys is no hint."""
+    """Warn that a key has no effect; a list of all keys is no hint."""
     told = f"config key {key!r} has no effect on {where}, as in highway-env"
-    gym.logger.warn("%s", told if hint.startswith("known:") else f"{told}; {hint}")
+    warn_once(told if hint.startswith("known:") else f"{told}; {hint}")
 
 
 def simulated_frequency(config: Config) -> int:
@@ -276,16 +276,14 @@ def simulated_frequency(config: Config) -> int:
     return int(config["simulation_frequency"]) * math.ceil(5 / config["simulation_frequency"])
 
 
-@cache
 def tell_of_steps(frequency: int) -> None:
-    """Warn, once, where SUMO's step, a whole number of milliseconds, is more than 1 % off that of a frequency [Hz]."""
+    """Warn where SUMO's step, a whole number of milliseconds, is more than 1 % off that of a frequency [Hz]."""
     step = 1000.0 / frequency
     error = round(step) / step - 1.0
     if abs(error) > STEP_ERROR:
-        gym.logger.warn(
-            "%s",
-            f"a 'simulation_frequency' of {frequency} Hz: SUMO's steps are whole milliseconds, {round(step)} and not "
-            f"{step:.2f}, so that its clock and the other vehicles are {error:+.0%} off; choose one that divides 1000",
+        warn_once(
+            f"SUMO's steps are whole milliseconds: at a 'simulation_frequency' of {frequency} Hz its clock and "
+            f"vehicles are {error:+.0%} off; choose one that divides 1000"
         )
 
 
@@ -320,10 +318,8 @@ def _check(task: str, config: Config, defaults: Config) -> None:
     if speeds is not None and speeds[0] == speeds[1]:
         raise ConfigError(f"config key 'reward_speed_range' must be two different speeds, not {speeds!r}")
     if config["simulation_frequency"] < config["policy_frequency"]:
-        raise ConfigError(
-            f"'simulation_frequency' ({config['simulation_frequency']}) must be at least 'policy_frequency' "
-            f"({config['policy_frequency']}): otherwise no time passes in a step"
-        )
+        both = " must be at least ".join(f"{key!r} ({config[key]})" for key in FREQUENCIES)
+        raise ConfigError(f"{both}: otherwise no time passes in a step")
     for group, types in TYPES.items():
         _check_type(task, group, config[group], {known["type"]: known for known in types})
 

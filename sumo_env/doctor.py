@@ -6,8 +6,6 @@ changed on the machine.
 
 from __future__ import annotations
 
-import argparse
-import os
 import platform
 import sys
 import time
@@ -22,20 +20,11 @@ import numpy as np
 
 import sumo_env
 
-GYMNASIUM = (1, 1)  # the oldest version
 SUMO_VERSION = "1.28.0"  # that the drivers were calibrated on
 STEPS = 100  # of the speed measurement
 
-Check = tuple[str, Callable[[], str]]  # name, and a function that returns details or raises an exception
-
-
-def gymnasium() -> str:
-    """gymnasium is new enough; with an older one, later checks would fail for reasons that mislead."""
-    found = gym.__version__
-    if tuple(int(part) for part in found.split(".")[:2]) < GYMNASIUM:
-        least = ".".join(map(str, GYMNASIUM))
-        raise RuntimeError(f"version {found} is too old: pip install 'gymnasium>={least}'")
-    return found
+# name, and a function that returns details or raises an exception
+Check = tuple[str, Callable[[], str]]
 
 
 def sumo() -> str:
@@ -43,9 +32,7 @@ def sumo() -> str:
     from sumo_env.sumo.engine import version
 
     if SUMO_VERSION not in version():
-        raise RuntimeError(
-            f"{version()}; SUMO's drivers were calibrated on {SUMO_VERSION}: pip install libsumo=={SUMO_VERSION}"
-        )
+        raise RuntimeError(f"{version()} is not that of the drivers: pip install libsumo=={SUMO_VERSION}")
     return version()
 
 
@@ -92,7 +79,6 @@ def workers() -> str:
 
 
 CHECKS: tuple[Check, ...] = (
-    ("gymnasium", gymnasium),
     ("SUMO", sumo),
     *((sumo_env.task_of(id), partial(task, id)) for id in sumo_env.IDS),
     ("pictures", pictures),
@@ -114,26 +100,15 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
             state, words = "FAIL", f"{type(error).__name__}: {error}"
         print(f"  {state}  {name:14}{words}", file=out, flush=True)
         if state == "FAIL":
-            print(
-                "if the line above does not help: install the package again, then report these lines",
-                file=out,
-            )
+            print("if this does not help: install the package again, then report these lines", file=out)
             return 1
     print("all is well", file=out)
     return 0
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Make all checks; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        "python -m sumo_env.doctor", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.parse_args(arguments)
-    try:
-        return examine(CHECKS, sys.stdout)
-    except BrokenPipeError:  # the reader of our output (head, less) has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+    return examine(CHECKS, sys.stdout)
 
 
 if __name__ == "__main__":

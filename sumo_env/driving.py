@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
 from sumo_env.as_highway_env import class_or_instance
-from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, tell_of_steps
+from sumo_env.config import COMMON, Config, ConfigError, pace, tell_of_steps
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import ending, information, interface, on_its_way, paid_late
 from sumo_env.networks.roads import LaneIndex
@@ -69,9 +69,7 @@ class DrivingEnv(OnScreen, OwnSumo):
         sumo_options: Sequence[str] = (),
         live: str | None = None,
         output_dir: str | Path | None = None,
-        **misplaced: Any,
     ) -> None:
-        refuse_misplaced(misplaced)
         self._refuse_overrides()
         self.task: Task = get_task(task)
         self._prepare_sumo(simulator, sumo_options, live, output_dir)
@@ -123,10 +121,7 @@ class DrivingEnv(OnScreen, OwnSumo):
     def _refuse_backwards(self, what: str, speed: float) -> None:
         """An error if SUMO would have to drive at a negative speed [m/s]."""
         if self._is_on_sumo and speed < 0.0:
-            raise ConfigError(
-                f"{what}: SUMO's vehicles cannot drive at {speed:g} m/s, because they never drive backwards; "
-                "the environments replica/* can"
-            )
+            raise ConfigError(f"{what}: SUMO's vehicles never drive backwards ({speed:g} m/s); replica/* do")
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 

@@ -72,13 +72,10 @@ def write(
         "episode.sumocfg": _configuration(inputs, "recorded.fcd.xml", step, len(scenes)),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (inputs["net-file"], *contents):
-        (folder / name).unlink(missing_ok=True)  # a link in its place is not followed
     shutil.copyfile(road.net_file, folder / inputs["net-file"])
     for name, root in contents.items():
         ElementTree.indent(root)
-        with (folder / name).open("xb") as file:
-            ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
+        ElementTree.ElementTree(root).write(folder / name, encoding="utf-8", xml_declaration=True)
     return [folder / name for name in (inputs["net-file"], *contents)]
 
 

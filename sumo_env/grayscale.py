@@ -38,23 +38,19 @@ class Grayscale:
         self.shape = given["stack_size"], width, height
         if not all(isinstance(size, int) and 1 <= size <= LARGEST for size in self.shape):
             raise ConfigError(
-                "observation 'stack_size' and 'observation_shape' [width, height] must be whole numbers from 1 to "
-                f"{LARGEST}, not {given['stack_size']!r} and {given['observation_shape']!r}"
+                f"'stack_size' and 'observation_shape' must be 1 to {LARGEST}, not {self.shape}"
             )
         scaling, centre = (given[key] or view[key] for key in ("scaling", "centering_position"))
-        self._view = {"screen_width": width, "screen_height": height}
         try:
-            self._view |= {
-                "scaling": float(scaling),
-                "centering_position": [float(share) for share in centre],
-            }
+            view = {"scaling": float(scaling), "centering_position": [float(share) for share in centre]}
         except (TypeError, ValueError):
-            scaling = 0.0
-        if not scaling > 0.0 or len(self._view["centering_position"]) != 2:
+            view = {"scaling": 0.0}
+        if not view["scaling"] > 0.0 or len(view["centering_position"]) != 2:
             raise ConfigError(
                 "observation 'scaling' must be pixels per metre and 'centering_position' two shares of the picture, "
-                f"not {given['scaling']!r} and {given['centering_position']!r}"
+                f"not {scaling!r} and {centre!r}"
             )
+        self._view = {"screen_width": width, "screen_height": height, **view}
         self._weights = np.array(given["weights"], float)
         self.space = spaces.Box(0, 255, self.shape, np.uint8)
         self._pictures = np.zeros(self.shape, np.uint8)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from functools import cache
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -17,7 +16,7 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType, ContinuousAction, action_type
-from sumo_env.config import MEASURED, Config, ConfigError
+from sumo_env.config import MEASURED, Config, ConfigError, warn_once
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.grayscale import Grayscale
@@ -48,17 +47,18 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
             simulator has no use for it.
     """
     if config["drivers"] == MEASURED and (steers or isinstance(task, NetworkTask)):
-        raise ConfigError(
-            "config key 'drivers' can only be 'highway-env' here: measured drivers are for sumo/*"
-        )
+        raise ConfigError("'drivers' can only be 'highway-env' here: measured drivers are for sumo/*")
     kind = action_type(config["action"], task.target_speeds, steers)
     if isinstance(kind, ContinuousAction) and kind.lateral and not steers and task.name in TASKS:
-        tell_of_lanes(config["action"]["type"])
+        warn_once(
+            f"{config['action']['type']!r} on sumo/*: its lateral number changes lanes (left below -1/3, right above "
+            f"1/3); in highway-env and on replica/* it steers ({page('control')})"
+        )
     limits = task.reward_limits(config)
     if limits and config.get("normalize_reward", True) and limits[0] == limits[1]:
         raise ConfigError(
-            f"the reward cannot be normalised: the weights make {limits[0]:g} both its least and its largest value; "
-            "change 'collision_reward' or another weight, or set 'normalize_reward' to False"
+            f"the reward cannot be normalised: by its weights it is always {limits[0]:g}; change 'collision_reward', "
+            "say, or set 'normalize_reward' to False"
         )
     road = task.road(config)
     observation: ObservationType
@@ -74,10 +74,7 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     elif given["type"] == "LeadersFollowers":
         observation = LeadersFollowers(given, on_its_way=of_network)
     elif not kind.names:
-        raise ConfigError(
-            f"observation type 'TimeToCollision' needs target speeds, which {config['action']['type']!r} does not have "
-            "(nor in highway-env): choose 'Kinematics'"
-        )
+        raise ConfigError(f"'TimeToCollision' needs target speeds: {config['action']['type']!r} has none")
     else:
         observation = TimeToCollision(given, config["policy_frequency"])
     return Interface(kind, observation)
@@ -175,12 +172,3 @@ def actions_of(envs: VectorEnv, actions: Any) -> NDArray[Any]:
     if not known:
         raise ValueError(f"actions must be {envs.num_envs} of {envs.single_action_space}, not {actions}")
     return actions
-
-
-@cache
-def tell_of_lanes(name: str) -> None:
-    """Warn, once, that an action that steers in highway-env changes lanes on SUMO."""
-    gym.logger.warn(
-        f"{name!r} on sumo/*: its lateral number changes lanes (left below -1/3, right above 1/3). In highway-env this "
-        f"number steers, and so it does on replica/* ({page('control')})"
-    )

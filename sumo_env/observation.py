@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
+from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of, whole_number
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import (
@@ -31,9 +31,8 @@ POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 _DIRECTION, OFFSETS = ("cos_d", "sin_d"), ("long_off", "lat_off", "ang_off")
 FEATURES = (*POSE, *_DIRECTION, *OFFSETS)
 RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
-BEHIND = (
-    -2.0 * VEHICLE_LENGTH
-)  # [m] along the lane; what is further behind is seen by `see_behind`, obstacles never
+# [m] along the lane; what is further behind is seen by `see_behind`, obstacles never
+BEHIND = -2.0 * VEHICLE_LENGTH
 
 
 class TableForm(NamedTuple):
@@ -92,11 +91,7 @@ class Kinematics:
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
         known = (*FEATURES, *ON_ITS_WAY, *ON_REQUEST) if on_its_way else FEATURES
         self.features = tuple(one_of("observation feature", feature, known) for feature in features)
-        rows = given["vehicles_count"]
-        if not isinstance(rows, int) or not 1 <= rows <= MOST_VEHICLES:
-            raise ConfigError(
-                f"observation 'vehicles_count' must be a whole number from 1 to {MOST_VEHICLES}, not {rows!r}"
-            )
+        rows = whole_number("observation 'vehicles_count'", given["vehicles_count"], MOST_VEHICLES)
         self.ranges = ranges_of(
             given["features_range"]
             or {
@@ -263,9 +258,7 @@ def ranges_of(given: Any) -> dict[str, tuple[float, float]]:
             return ranges
     except (AttributeError, TypeError, ValueError):
         pass
-    raise ConfigError(
-        f"observation 'features_range' must map features to [low, high], two numbers: {given!r}"
-    )
+    raise ConfigError(f"observation 'features_range' must map features to [low, high], not {given!r}")
 
 
 def destination_direction(
@@ -302,9 +295,7 @@ class TimeToCollision:
         self.quantum = 1.0 / policy_frequency
         self.steps = int(self.horizon / self.quantum)
         if self.steps < 1:
-            raise ConfigError(
-                f"observation 'horizon' must be at least one policy step, not {self.horizon!r} s"
-            )
+            raise ConfigError(f"observation 'horizon' must be a policy step at least, not {self.horizon!r} s")
         self.space = spaces.Box(0.0, 1.0, (3, 3, self.steps), np.float32)
 
     def observe(self, seen: Situation) -> Array:

@@ -36,9 +36,7 @@ class OccupancyGrid:
         known = (*FEATURES, ON_ROAD)
         self.features = tuple(one_of("observation feature", feature, known) for feature in features)
         if given["absolute"]:
-            raise ConfigError(
-                "observation 'absolute' of an OccupancyGrid can only be False, as in highway-env"
-            )
+            raise ConfigError("'absolute' of an OccupancyGrid can only be False, as in highway-env")
         shape = [0, 0]
         try:
             self.size = np.array(given["grid_size"] or [[-27.5, 27.5], [-27.5, 27.5]], float)

@@ -51,27 +51,20 @@ class OwnSumo(ReadAsHighwayEnv):
     ) -> None:
         """Take over what a user says about SUMO, see `DrivingEnv`."""
         if simulator is not None and (options or live or output_dir):
-            raise ValueError(
-                "sumo_options, live and output_dir are for SUMO, which this environment starts itself: leave out "
-                "`simulator`"
-            )
+            raise ValueError("sumo_options, live and output_dir are for SUMO: leave out `simulator`")
         self._given = self._simulator = simulator
         self._live = check_live(live)
         self._options = check_options(options, isinstance(self.task, NetworkTask))
         if not isinstance(self.task, NetworkTask):
             if output_dir is not None:
-                raise ConfigError(
-                    "output_dir is for networks of your own; sumo_options name outputs of this task"
-                )
+                raise ConfigError("output_dir is for networks of your own: take sumo_options")
         elif output_dir is not None:
             check_outputs(self.task.outputs)
             outputs = [f"--{name}={value}" for name, value in self.task.outputs]
             self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
         elif self.task.outputs:
             names = ", ".join(name for name, _ in self.task.outputs)
-            gym.logger.warn(
-                "%s", f"{self.task.net}: its outputs are off ({names}); output_dir=... writes them"
-            )
+            gym.logger.warn("%s", f"{self.task.net}: outputs are off ({names}); output_dir=... writes them")
 
     def export(self, folder: str | Path) -> list[Path]:
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
@@ -112,9 +105,7 @@ class OwnSumo(ReadAsHighwayEnv):
         `reset` takes it back. `sumo_env.hand_over.HandOver` does both by a rule.
         """
         if self.steers:
-            raise ConfigError(
-                "SUMO drives nothing on the replica: hand_over is for sumo/* and networks of your own"
-            )
+            raise ConfigError("SUMO drives nothing on the replica: hand_over is for environments on SUMO")
         self._handed_over = to_sumo
 
     @property

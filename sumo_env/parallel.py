@@ -54,8 +54,7 @@ class FleetTask(NetworkTask):
     ) -> None:
         if bool(vehicles) == bool(vehicle_type) or bool(vehicle_type) != (max_cars > 0):
             raise ConfigError(
-                "learning cars are either vehicles=[ids of the files] or vehicle_type='a type of the files' with "
-                "max_cars, at most how many there are in an episode"
+                "learning cars are vehicles=[ids], or vehicle_type='a type' with max_cars=how many"
             )
         self.ids, self.vehicle_type = tuple(vehicles), vehicle_type
         self.max_cars = max_cars or len(vehicles)

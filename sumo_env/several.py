@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 from gymnasium import spaces
 
-from sumo_env.config import Config, ConfigError, keys_of
+from sumo_env.config import MOST_VEHICLES, Config, ConfigError, keys_of, whole_number
 from sumo_env.driving import DrivingEnv
 from sumo_env.interface import paid_late
 from sumo_env.scene import Scene
@@ -47,17 +47,14 @@ def asked(config: Mapping[str, Any] | None, cars: int = 1) -> Asked:
     """
     plain = dict(keys_of(config))
     count = plain.pop("controlled_vehicles", cars)
-    if not isinstance(count, int) or count < 1:
-        raise ConfigError(f"'controlled_vehicles' must be a whole number from 1 on, not {count!r}")
+    whole_number("'controlled_vehicles'", count, MOST_VEHICLES)
     shared = {}
     for key, kind in SHARED.items():
         entry = plain.get(key)
         shared[key] = cars > 1 if entry is None else isinstance(entry, Mapping) and entry.get("type") == kind
         if entry is not None and shared[key]:
             if f"{key}_config" not in entry:
-                raise ConfigError(
-                    f"the {key} type {kind!r} needs '{key}_config', the {key} of each car, not {entry!r}"
-                )
+                raise ConfigError(f"{kind!r} needs '{key}_config', the {key} of each car, not {entry!r}")
             plain[key] = entry[f"{key}_config"]
     return Asked(plain, count, shared)
 
@@ -183,8 +180,8 @@ class TupleEnv(gym.Env[Any, Any]):
     def __init__(self, make: Make, given: Asked, render_mode: str | None, per_car: bool = False) -> None:
         if not given.shared["action"]:
             raise ConfigError(
-                "several learning cars need the action type 'MultiAgentAction' with an 'action_config', whose actions "
-                "are tuples; sumo_env.parallel_env makes PettingZoo's environments (docs/several-cars.md)"
+                "several learning cars need the action type 'MultiAgentAction' with an 'action_config', or "
+                "sumo_env.parallel_env (docs/several-cars.md)"
             )
         self.cars = Cars(make, given, render_mode)
         self.render_mode, self._sees_all, self._per_car = render_mode, given.shared["observation"], per_car

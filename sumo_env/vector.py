@@ -17,7 +17,6 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
-from sumo_env.config import refuse_misplaced
 from sumo_env.driving import DrivingEnv
 from sumo_env.interface import actions_of, seeds_of
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
@@ -50,9 +49,7 @@ class SumoVectorEnv(SyncVectorEnv):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        **misplaced: Any,
     ) -> None:
-        refuse_misplaced(misplaced)
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, not {num_envs}")
         self._pool = ThreadPoolExecutor(num_envs, thread_name_prefix="sumo_env")
@@ -110,9 +107,7 @@ class SumoVectorEnv(SyncVectorEnv):
         spaces = env.observation_space, env.action_space
         env.configure(before)
         if spaces != (self.single_observation_space, self.single_action_space):
-            raise ValueError(
-                "this configuration changes the observation or action space; make a new vector environment for it"
-            )
+            raise ValueError("this configuration changes a space: make a new vector environment for it")
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the workers."""

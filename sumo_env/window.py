@@ -20,10 +20,7 @@ class Window:
         try:
             import pygame
         except ImportError as error:
-            raise ImportError(
-                "render_mode='human' needs pygame: pip install pygame-ce (or, in a clone of this project, "
-                "pip install '.[window]')"
-            ) from error
+            raise ImportError("render_mode='human' needs pygame: pip install pygame-ce") from error
         self._pygame: Any = pygame
         self._clock: Any = pygame.time.Clock()
         self._screen: Any = None
@@ -61,9 +58,7 @@ class Window:
         }
         self._keys.clear()
         if isinstance(kind, DiscreteAction):
-            raise ConfigError(
-                "'manual_control' needs the action type 'DiscreteMetaAction' or 'ContinuousAction'"
-            )
+            raise ConfigError("'manual_control' needs 'DiscreteMetaAction' or 'ContinuousAction'")
         if isinstance(kind, ContinuousAction):
             pedals, turn = (("UP" in keys) - ("DOWN" in keys)), (("RIGHT" in keys) - ("LEFT" in keys))
             numbers = [*([pedals] if kind.longitudinal else []), *([turn] if kind.lateral else [])]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sumo_env.as_highway_env import class_or_instance
-from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_misplaced
+from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of
 from sumo_env.driving import DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import OFFSETS, Kinematics, Situation
@@ -103,13 +103,7 @@ class ReplicaEnv(DrivingEnv):
         variant: str = "stock",
         risk_law: str = LAWS[0],
         version: int = 0,
-        **misplaced: Any,
     ) -> None:
-        if of_sumo := misplaced.keys() & {"live", "sumo_options", "output_dir"}:
-            raise ConfigError(
-                f"{', '.join(sorted(of_sumo))}: there is no SUMO on the replica; sumo/* has one"
-            )
-        refuse_misplaced(misplaced)
         if version and (task, version) not in VERSIONS:
             known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)
             raise ConfigError(f"there is no version {version} of {task!r}; later versions are {known}")

@@ -94,17 +94,14 @@ class FileSimulator(SumoSimulator):
         for _ in range(round(traffic.warm_up / self._dt)):
             self._advance()
         if origin.edges and not session.send(name, origin.edges, origin.is_trip, origin.type, origin.speed):
+            first, last = origin.edges[0], origin.edges[-1]
             raise SimulatorError(
-                f"no route leads from edge {origin.edges[0]!r} to edge {origin.edges[-1]!r} for vehicles of type "
-                f"{origin.type!r}"
+                f"no route leads from edge {first!r} to {last!r} for the type {origin.type!r}"
             )
         steps = 0
         while not any(vehicle.name in self._road for vehicle in self._departed):
             if self._departed and self._is_alone:
-                raise SimulatorError(
-                    f"the ego {name!r} has departed and left the road again before 'warm_up' ({traffic.warm_up:g} s) "
-                    "was over"
-                )
+                raise SimulatorError(f"the ego {name!r} has left the road before 'warm_up' was over")
             if steps * self._dt >= traffic.wait:
                 raise SimulatorError(self._why_not_here(traffic))
             self._advance()
@@ -124,22 +121,13 @@ class FileSimulator(SumoSimulator):
         return name == self._name or name in self._scenario.further
 
     def _why_not_here(self, traffic: SumoTraffic) -> str:
-        session, name = self._session, self._name
-        after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.simulation.getTime():g} s"
-        if not self._is_alone:
-            cars = (
-                f"of type {traffic.car_type!r}" if traffic.car_type else f"{name!r}, {self._scenario.further}"
-            )
-            return f"no learning car ({cars}) has departed within {after}"
-        if name in session.simulation.getPendingVehicles():
-            return (
-                f"SUMO could not insert the ego {name!r} within {after}: there is no room for it where it departs, or "
-                f"its edge has no lane for vehicles of class {session.vehicle.getVehicleClass(name)!r}"
-            )
-        return (
-            f"the ego {name!r} has not departed within {after}: it departs later ('wait', 'begin'), SUMO has refused "
-            "it or left it out ('scale' of the files), or there is no such vehicle"
-        )
+        cars = self._traffic.car_type or (self._name, *self._scenario.further)
+        why = "it departs later ('wait', 'begin'), SUMO has left it out ('scale'), or there is none"
+        if self._name in self._session.simulation.getPendingVehicles():
+            kind = self._session.vehicle.getVehicleClass(self._name)
+            why = f"there is no room where it departs, or no lane for vehicles of class {kind!r}"
+        now = self._session.simulation.getTime()
+        return f"the learning car ({cars}) has not departed within {traffic.wait:g} s, at SUMO's {now:g} s: {why}"
 
     # -- a policy step -------------------------------------------------------------------------------------
 

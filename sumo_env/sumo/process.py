@@ -27,11 +27,11 @@ from typing import Any, ClassVar, NoReturn, TypeVar
 import cloudpickle
 from gymnasium import logger
 
+from sumo_env.config import warn_once
 from sumo_env.scene import Scene, same
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo import link
 from sumo_env.sumo.options import LIVE, check_copyable
-from sumo_env.sumo.proxy import tell_of_libsumo
 from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
 
@@ -39,6 +39,10 @@ SIMULATOR = "sumo_env.sumo.world:SumoSimulator"
 FILE_SIMULATOR = "sumo_env.sumo.files:FileSimulator"  # of scenarios with SUMO's own traffic
 TIMEOUT = 300.0  # [s] for an answer; a step takes milliseconds, the start of a worker less than a second
 GRACE = 5.0  # [s] for a worker to end by itself
+SEVERAL = (
+    "this process has several environments on SUMO: calls such as libsumo.vehicle.getSpeed(...) read the first one; "
+    "env.unwrapped.sumo.vehicle.getSpeed(...) asks an environment's own SUMO"
+)
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 T = TypeVar("T")
 
@@ -103,7 +107,8 @@ class SumoProcess:
         if self._host is None:
             here = self._may_be_here and not self._live and _Here.take(name, self._options)
             if self._may_be_here and not self._live and not here and name == FILE_SIMULATOR:
-                tell_of_libsumo()
+                with suppress(UserWarning):  # where a filter makes errors of warnings
+                    warn_once(SEVERAL)
             options = (LIVE, *self._options) if self._live else self._options
             self._adopt(here or _Worker.start(name, options))
         self._calls = []
@@ -175,8 +180,7 @@ class SumoProcess:
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
-            "SUMO's environments cannot be pickled: the state of a simulation lives in a process. copy.deepcopy(env) "
-            "makes a copy in the same state"
+            "SUMO's environments cannot be pickled: copy.deepcopy(env) makes a copy in the same state"
         )
 
     def _adopt(self, host: _Here | _Worker) -> None:
@@ -203,8 +207,7 @@ class SumoProcess:
                 getattr(there, command)(*arguments)
             if not same(there._scene, self._scene):
                 raise SimulatorError(
-                    "this simulation cannot be copied: driven again from its scenario, the episode is another one. "
-                    "Was it changed through libsumo?"
+                    "driven again for a copy, the episode is another one: did libsumo change it?"
                 )
         except BaseException:
             there.close()
@@ -239,10 +242,8 @@ class SumoProcess:
             self._end(grace=0.0)
             steps = 1 + sum(name == "step" for name, _ in self._calls)
             when = f" in step {steps}" if command == "step" else ""
-            raise SimulatorDied(
-                f"the worker process of SUMO {how}{when}: {self._episode} has ended; reset() begins another one in "
-                "a new worker"
-            ) from None
+            told = f"the worker process of SUMO {how}{when}: {self._episode} has ended; call reset()"
+            raise SimulatorDied(told) from None
         except BaseException:
             # Ctrl-C: the answer is still to come, and would be taken for that to the next request
             self._end(grace=0.0)

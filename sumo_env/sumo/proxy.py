@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
-
-from gymnasium import logger
 
 # Functions that would end the episode behind the environment's back.
 REFUSED = {
@@ -31,9 +27,7 @@ class Sumo:
         if name.startswith("_"):
             raise AttributeError(name)
         if name in REFUSED and self._path in ("", "simulation"):
-            raise AttributeError(
-                f"{name!r} is the environment's own: reset() loads SUMO, step() drives it, and close() ends it"
-            )
+            raise AttributeError(f"{name!r} is the environment's own: call its reset(), step() or close()")
         return Sumo(self._call, f"{self._path}.{name}".lstrip("."))
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
@@ -56,16 +50,3 @@ def plain(value: Any) -> Any:
     return SimpleNamespace(
         **{name: plain(item) for name in names if not callable(item := getattr(value, name))}
     )
-
-
-@cache
-def tell_of_libsumo() -> None:
-    """Once in a process, where people drive files of their own, and never as an error."""
-    told = (
-        "this process has several environments on SUMO: calls such as libsumo.vehicle.getSpeed(...) read the first "
-        "one; env.unwrapped.sumo.vehicle.getSpeed(...) asks an environment's own SUMO"
-    )
-    try:
-        logger.warn(told)
-    except UserWarning:  # by a filter of the user's
-        print(told, file=sys.stderr)

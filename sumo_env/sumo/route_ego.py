@@ -157,8 +157,7 @@ class RouteEgo:
         self._lane, self.ahead = lane, session.route_ahead(self._name)
         if lane not in self._network.indices:
             raise ValueError(
-                f"the ego {self._name!r} is of class {self._class!r} and drives on lane {lane!r}, which is not for "
-                "vehicles of roads"
+                f"the ego {self._name!r} ({self._class}) is on {lane!r}, no lane for vehicles of roads"
             )
         self._index = self._network.indices[lane]
         self._leads_on, self._may_turn, self._sides = True, True, (None, None)

@@ -108,9 +108,8 @@ def file_settings(scenario: Scenario, further: Sequence[str] = (), outputs: Path
                 link.unlink(missing_ok=True)
                 link.symlink_to(Path(value).absolute())
                 given[name] = link.name
-    if (
-        outputs is not None
-    ):  # SUMO puts the prefix between the folder and the name of every file that it writes
+    # SUMO puts the prefix between the folder and the name of every file that it writes
+    if outputs is not None:
         given["output-prefix"] = f"{TO_THE_ROOT}{str(outputs).lstrip('/')}/"
     seed = scenario.seed if scenario.traffic.seed is None else scenario.traffic.seed
     options |= {**given, **COLLISIONS, "seed": str(seed)}

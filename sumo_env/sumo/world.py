@@ -73,15 +73,13 @@ class SumoSimulator:
         files = "" if scenario.traffic is None else f" of {scenario.net}"
         raise SimulatorError(
             f"SUMO cannot begin this episode{files} ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it "
-            f"says is above; was it given wrong files, options ({' '.join(self._options) or 'none'}) or vehicle types?"
+            f"says is above; its options are {' '.join(self._options) or 'none'}"
         ) from refusal
 
     def step(self, commands: Commands, trace: bool = False) -> Step:
         """Drive one policy step; after an error, or Ctrl-C, the episode is over."""
         if not self._is_whole:
-            raise SimulatorError(
-                "this episode ended in the midst of a step: call reset() to begin another one"
-            )
+            raise SimulatorError("this episode ended in the midst of a step: call reset()")
         self._is_whole = False
         try:
             step = self._step(commands, trace)
@@ -92,8 +90,7 @@ class SumoSimulator:
             self._check_window(error)
             raise SimulatorError(
                 f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "
-                f"{self._time:.1f} s): {_words(error)} Is a later part of its files wrong, or was libsumo called from "
-                "elsewhere in this process? Call reset() to begin another episode."
+                f"{self._time:.1f} s): {_words(error)} Are its files wrong, or was libsumo called from elsewhere?"
             ) from error
 
     def _check_window(self, error: Exception) -> None:
@@ -129,9 +126,8 @@ class SumoSimulator:
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._road: dict[str, Vehicle] = {}  # the vehicles on the road, learning cars among them
-        self._cars: dict[
-            str, Car[Any]
-        ] = {}  # the learning cars of the scene; of files, some may have left the road
+        # the learning cars of the scene; of files, some may have left the road
+        self._cars: dict[str, Car[Any]] = {}
         self._events = Events(self._session, scenario, self._network, self._road)
 
     def _begin(self, scenario: Scenario) -> Scene:
@@ -259,10 +255,7 @@ class SumoSimulator:
             if command is None:
                 self._remove(name)
             elif name not in self._cars:
-                raise SimulatorError(
-                    f"the learning car {name!r} is not on the road ({', '.join(self._cars) or 'no car is'}): was it "
-                    "removed through libsumo? Call reset() to begin another episode."
-                )
+                raise SimulatorError(f"the learning car {name!r} is not on the road: did libsumo remove it?")
         for name, car in self._cars.items():
             car.obey(commands.get(name))
 
@@ -271,10 +264,8 @@ class SumoSimulator:
         reported = self._step_sumo()
         for name in self._session.arrived:
             if name in self._cars and self._cars[name].is_commanded:
-                raise SimulatorError(
-                    f"the car {name!r} has driven off the end of the road ({self._scenario.task}, {self._time:.1f} s): "
-                    "choose a shorter 'duration', or call reset() to begin another episode"
-                )
+                where = f"the end of the road ({self._scenario.task}, {self._time:.1f} s)"
+                raise SimulatorError(f"the car {name!r} has driven off {where}: choose a shorter 'duration'")
             self._forget(name)
         return [pair for pair in reported if all(name in self._road for name in pair)] if reported else ()
 

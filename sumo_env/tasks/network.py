@@ -5,14 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 from math import inf
 from pathlib import Path
 from typing import Any
 
-from gymnasium import logger
-
-from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError
+from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError, warn_once
 from sumo_env.networks import files
 from sumo_env.networks.roads import Road
 from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST, Place
@@ -119,9 +116,9 @@ class NetworkTask(Task):
         self._first = None if "begin" in options else contents.first_departure
         if left_out := contents.left_out:
             some = ", ".join(left_out[:5]) + (", ..." if len(left_out) > 5 else "")
-            _warn_once(f"SUMO leaves out {len(left_out)} of the files ({some}): {UNSORTED}")
+            warn_once(f"SUMO leaves out {len(left_out)} of the files ({some}): {UNSORTED}")
         if contents.people:
-            _warn_once(f"{file} has people on foot: no agent sees them, and no contact with them is noticed")
+            warn_once(f"{file} has people on foot: no agent sees them, and no contact with them is noticed")
         self._origins = self._take_ego(ego_route, ego_trips, ego_vehicle, ego_type)
         self._ego_is_of_files = bool(ego_vehicle)
         if ego_vehicle:
@@ -162,9 +159,7 @@ class NetworkTask(Task):
             return False
         for name, way in named:
             if isinstance(way, str | Path) or not way:
-                raise ConfigError(
-                    f"{name} must be a list of edges, or all of routes files of SUMO, not {way!r}"
-                )
+                raise ConfigError(f"{name} must be a list of edges, or all of routes files, not {way!r}")
         self._drawn = tuple((name, tuple(way)) for name, way in named)
         return bool(named) or "route-files" not in options
 
@@ -174,15 +169,10 @@ class NetworkTask(Task):
         """The ways in which the ego may come; one is drawn for each episode."""
         given = [bool(route), bool(trips), bool(vehicle)]
         if sum(given) != 1:
-            raise ConfigError(
-                "the ego needs one of ego_route (a list of edges, or several), ego_trips (pairs of edges) and "
-                "ego_vehicle (the id of a vehicle of the files)"
-            )
+            raise ConfigError("the ego needs one of ego_route, ego_trips and ego_vehicle")
         if vehicle:
             if type:
-                raise ConfigError(
-                    "ego_type is for an ego that is added: a vehicle of the files has its own type"
-                )
+                raise ConfigError("ego_type is for an ego that is added: a vehicle of the files has its own")
             return (Origin(),)
         kind = type or ("ego" if self._drawn else Origin().type)
         if trips:
@@ -225,9 +215,7 @@ class NetworkTask(Task):
         models = tuple(named.items()) if config["risk"] else ()
         for model in sorted({model for _, model in models} & LACKING.keys()):
             lacks = ", ".join(LACKING[model])
-            _warn_once(
-                f"risk changes no {lacks} of drivers of the car-following model {model}, which lacks them"
-            )
+            warn_once(f"risk changes no {lacks} of drivers of the car-following model {model}")
         rng = stream(seed, "scenario")
         origin = self._origins[int(rng.integers(len(self._origins)))]
         if config["initial_speed"] is not None:
@@ -242,9 +230,8 @@ class NetworkTask(Task):
         scale = self._scale(config, seed)
         without_effect = not self._drawn and (config["vehicles_count"] or config["spawn_probability"])
         if without_effect and "route-files" in options:
-            _warn_once(
-                "'vehicles_count' and 'spawn_probability' have no effect: the route files say what comes, and "
-                "'traffic_scale' how much of it"
+            warn_once(
+                "'vehicles_count' and 'spawn_probability' have no effect on route files: use 'traffic_scale'"
             )
         if self._drawn:
             for key, most in (("vehicles_count", MOST_VEHICLES), ("spawn_probability", 1.0)):
@@ -283,13 +270,11 @@ class NetworkTask(Task):
         """The factor on the traffic of an episode."""
         low, high = config["traffic_scale"]
         if not 0.0 <= low <= high:
-            raise ConfigError(
-                f"config key 'traffic_scale' must be [low, high] from 0 on, not {[low, high]!r}"
-            )
+            raise ConfigError(f"'traffic_scale' must be [low, high] from 0 on, not {[low, high]!r}")
         if low < 1.0 and self._ego_is_of_files:
             raise ConfigError(
-                f"config key 'traffic_scale' must be from 1 on, not {[low, high]!r}, where the ego is a vehicle of the "
-                "files: below, SUMO may leave it out. ego_route and ego_trips add an ego that always comes"
+                f"'traffic_scale' must be from 1 on, not {[low, high]!r}: SUMO may leave out an ego of the files; "
+                "take ego_route or ego_trips"
             )
         return float(stream(seed, "traffic scale").uniform(low, high)) if low < high else float(low)
 
@@ -297,7 +282,7 @@ class NetworkTask(Task):
         """Where SUMO's clock begins [s]; None where the files say it."""
         if config["begin"] is not None or self._first is None or self._first < QUIET:
             return None if config["begin"] is None else float(config["begin"])
-        _warn_once(f"the first vehicle of the files departs at {self._first:g} s: 'begin' is set to it")
+        warn_once(f"the first vehicle of the files departs at {self._first:g} s: 'begin' is set to it")
         return self._first
 
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
@@ -346,11 +331,6 @@ def _ranges(limit: float) -> dict[str, list[float]]:
     return {**ranges, "light": [-1.0, 2.0], **{name: [-limit, limit] for name in CLOSING}}
 
 
-@cache
-def _warn_once(message: str) -> None:
-    logger.warn("%s", message)  # gymnasium formats what it is given, and ids may have a %
-
-
 def _append(options: dict[str, str], name: str, added: Sequence[Path]) -> None:
     options[name] = ",".join(filter(None, (options.get(name, ""), *map(str, added))))
 
@@ -362,5 +342,5 @@ def _frequency(step: str) -> int:
     frequency = 1.0 / length
     if round(frequency) >= 1 and abs(frequency - round(frequency)) < 1e-6 * frequency:
         return round(frequency)
-    logger.warn(f"a second is no whole number of steps of {step} s: 'simulation_frequency' is 10")
+    warn_once(f"a second is no whole number of steps of {step} s: 'simulation_frequency' is 10")
     return 10

@@ -57,11 +57,11 @@ def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
     model = str(attributes.get("carFollowModel", "Krauss"))
     if models and model not in models:
         raise ValueError(
-            f"{name!r} has the carFollowModel {model!r}, which SUMO does not have: {nearest(model, models)}"
+            f"SUMO does not have the carFollowModel {model!r} of {name!r}: {nearest(model, models)}"
         )
     for attribute in attributes if known else ():
         if attribute not in known:
+            instead = did_you_mean(attribute, known) or f"see {PAGE}"
             raise ValueError(
-                f"{name!r} has an attribute that SUMO's vehicle types do not have, {attribute!r}: "
-                f"{did_you_mean(attribute, known) or f'see {PAGE}'}"
+                f"SUMO's vehicle types have no attribute {attribute!r}, as {name!r} has: {instead}"
             )

@@ -123,14 +123,11 @@ class Driver:
         check_attributes(name, attributes)
         for key in sorted(UNCHANGED & attributes.keys()):
             raise ValueError(
-                f"{key} of {name!r} would have no effect: vehicles are boxes with names of their own, which want to "
-                "drive the target_speed of their VehicleSpec"
+                f"{key} of {name!r} would have no effect: its VehicleSpec has its id and target_speed"
             )
         for key in {"length", "width"} & attributes.keys():
             if not 0.1 <= float(str(attributes[key])) <= LARGEST:
-                raise ValueError(
-                    f"{key} of {name!r} must be from 0.1 to {LARGEST:g} m, not {attributes[key]}"
-                )
+                raise ValueError(f"{key} of {name!r} must be 0.1 to {LARGEST:g} m, not {attributes[key]}")
         own = tuple((key, str(value)) for key, value in attributes.items())
         type = f"{name}.{self.type}"
         return replace(

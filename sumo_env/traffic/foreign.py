@@ -123,8 +123,7 @@ def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
     for option, value in outputs:
         if option == "vtk-output":
             raise ConfigError(
-                f"{option}={value!r} is not written to output_dir but where the file says: take it out, or give it "
-                "among your sumo_options"
+                f"{option}={value!r} would not go to output_dir: give it among your sumo_options"
             )
         if _is_connection(value):
             raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
@@ -165,9 +164,7 @@ class _Reader:
             os.path.isfile, self._includes
         ):  # without a word SUMO goes on without the others
             if further in self._including:
-                raise ConfigError(
-                    f"{path} includes {further}, which includes it: SUMO would not come to an end"
-                )
+                raise ConfigError(f"{path} includes {further}, which includes it: SUMO would not end")
             _Reader(Contents(), further, self._is_network, False, self._including).read()
 
     def _refuse(self, what: str) -> NoReturn:

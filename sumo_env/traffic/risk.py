@@ -100,19 +100,15 @@ class RiskEvent:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS and not isinstance(self.kind, EventKind):
-            raise ConfigError(
-                f"an event of {self.vehicle!r} is of the unknown kind {self.kind!r}: {nearest(str(self.kind), KINDS)}; "
-                "a kind of your own is an instance of a subclass of EventKind"
-            )
+            instead = f"{nearest(str(self.kind), KINDS)}, or an instance of a subclass of EventKind"
+            raise ConfigError(f"an event of {self.vehicle!r} is of the unknown kind {self.kind!r}: {instead}")
 
     def kind_on(self, simulator: str) -> Kind:
         """Its kind on a simulator without kinds of a user's own and further events. Raises ConfigError for those."""
         if self.is_further:
             raise ConfigError(f"{simulator} has no 'event_factor', which SUMO alone has")
         if isinstance(self.kind, EventKind):
-            raise ConfigError(
-                f"{simulator} has no events of the kind {type(self.kind).__name__!r}, which SUMO alone has"
-            )
+            raise ConfigError(f"{simulator} has no events of the kind {type(self.kind).__name__!r}: SUMO has")
         return self.kind
 
 

@@ -128,9 +128,7 @@ def configuration(file: Path) -> dict[str, str]:
             several = (plain_path(_beside(file, part)) for part in found[name].split(",") if part.strip())
             found[name] = ",".join(map(str, several))
     if "net-file" not in found:
-        raise ConfigError(
-            f"{file} is no configuration of SUMO with a network: it has no <net-file value=.../>"
-        )
+        raise ConfigError(f"{file} is no configuration with a network: it has no <net-file value=.../>")
     if found.get("mesosim", "false") not in ("false", "0", "no", "off"):
         raise ConfigError(f"{file}: with 'mesosim' SUMO moves queues and no single cars: take the option out")
     return found
@@ -197,8 +195,7 @@ def temporary_folder() -> str:
         if _is_plain(folder) and os.access(folder, os.W_OK):
             return folder
     raise ConfigError(
-        f"SUMO takes a comma as the end of a name, and ${{...}} as a variable, and needs a folder for temporary files "
-        f"without: choose one by TMPDIR (tried: {'; '.join(folders)})"
+        f"SUMO needs a folder without commas and ${{...}}: set TMPDIR (tried: {'; '.join(folders)})"
     )
 
 

@@ -20,7 +20,6 @@ from agents.learner import settings_of
 from agents.learners import LEARNERS, learner
 from agents.models import EgoAttention, network_class
 from agents.policies import foreign_policy
-from agents.replay import Replay
 from agents.rules import make_policy
 from tests.agents.test_belief import Fixed
 from tests.agents.test_rules import road
@@ -67,7 +66,6 @@ CALLS: list[tuple[Callable[[], Any], str]] = [
     (lambda: network_class("none.py:Mine"), "no file"),
     (lambda: network_class("wrong.py:Mine"), "ZeroDivisionError"),
     (lambda: EgoAttention(gym.spaces.Box(-1, 1, (25,)), 5), "vehicles, features"),
-    (lambda: Replay(5, (4,)).sample(np.random.default_rng(0), 1), "empty replay"),
     (lambda: make_policy("brave", road()), "known are"),
     (lambda: make_policy("faster", road({0: "IDLE", 1: "SLOWER"})), "FASTER"),
     (lambda: make_policy("careful", road(features=("presence", "x", "y", "vy"))), "no vx"),

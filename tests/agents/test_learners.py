@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.dqn import DQNConfig, say_torch
+from agents.dqn import DQNConfig
 from agents.learners import LEARNERS
 from agents.streams import episode_seed
 from tests.agents.networks import weights
@@ -71,10 +71,6 @@ def test_a_training_is_stored_and_begun_again_to_the_same_bits(name: str, tmp_pa
         LEARNERS[name].load(tmp_path / "weights.npz", other, make_env())
 
 
-def test_a_learner_names_the_packages_that_decide_its_bits(capfd) -> None:
+def test_a_learner_names_the_packages_that_decide_its_bits() -> None:
     assert DQNConfig().packages == ("numba",)
     assert DQNConfig(by_hand=False).packages == () == DQNConfig("dueling").packages
-    say_torch.cache_clear()
-    train("dqn")
-    train("dqn")
-    assert capfd.readouterr().err.count("torch makes the updates") == 1

@@ -18,7 +18,7 @@ import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from sumo_env.config import ConfigError, ignore, tell_of_steps
+from sumo_env.config import ConfigError, ignore, warn_once
 from sumo_env.env import DrivingEnv
 from sumo_env.interface import ending
 from sumo_env.scene import Place
@@ -270,7 +270,7 @@ def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:
 )
 def test_a_warning_says_where_sumo_s_clock_is_off(frequency: int, is_off: bool) -> None:
     """More than 1 %, by its whole milliseconds."""
-    tell_of_steps.cache_clear()
+    warn_once.cache_clear()
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         DrivingEnv("two-way", {"simulation_frequency": frequency}).close()

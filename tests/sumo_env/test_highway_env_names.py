@@ -15,11 +15,10 @@ import pytest
 
 import sumo_env
 from sumo_env import hints
-from sumo_env.config import IGNORED, ignore
+from sumo_env.config import IGNORED, warn_once
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv, HighwayEnvFast, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
-from sumo_env.interface import tell_of_lanes
 from sumo_env.tasks import TASKS
 from tests.tasks import every_task
 
@@ -46,7 +45,7 @@ def test_highway_env_ignores_what_is_ignored_here(task: str) -> None:
 
 @pytest.mark.parametrize("id", ["sumo/highway-v0", "replica/highway-v0"])
 def test_a_key_that_highway_env_ignores_is_ignored_and_said_once(id: str) -> None:
-    ignore.cache_clear()
+    warn_once.cache_clear()
     config = {"initial_spacing": 2, "speed_limit": 25, "road_length": 500.0, "vehicles_count": 5}
     with pytest.warns(UserWarning, match="has no effect on the task 'highway', as in highway-env") as caught:
         env: Any = gym.make(id, config=config).unwrapped
@@ -63,7 +62,7 @@ def test_a_key_that_highway_env_ignores_is_ignored_and_said_once(id: str) -> Non
 
 
 def test_an_action_that_steers_in_highway_env_says_once_that_it_changes_lanes() -> None:
-    tell_of_lanes.cache_clear()
+    warn_once.cache_clear()
     steering = {"action": {"type": "ContinuousAction"}}
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -15,7 +15,7 @@ import pytest
 from gymnasium.wrappers import FlattenObservation, RecordVideo
 
 import sumo_env  # in place of highway_env
-from sumo_env.config import ConfigError, ignore
+from sumo_env.config import ConfigError, warn_once
 from sumo_env.envs import HighwayEnv, IntersectionEnv
 
 FEW = {"vehicles_count": 6, "duration": 4}
@@ -201,7 +201,7 @@ def test_one_configuration_serves_several_roads(road: str, recwarn: pytest.Warni
         env: Any = gym.make(f"sumo/{road}-v9")
     except gym.error.VersionNotFound:
         env = gym.make(f"sumo/{road}-v0")
-    ignore.cache_clear()
+    warn_once.cache_clear()
     env.unwrapped.configure(config)
     observation, _ = env.reset(seed=1)
     assert env.observation_space.contains(observation) and len(observation) == 8

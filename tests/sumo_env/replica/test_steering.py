@@ -17,7 +17,7 @@ from highway_env.envs import RoundaboutEnv, TwoWayEnv
 from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
-from sumo_env.config import ignore
+from sumo_env.config import warn_once
 from sumo_env.replica.env import ReplicaEnv
 from tests.tasks import every_task, published_task
 
@@ -209,6 +209,6 @@ def test_info_and_the_ego_are_as_in_highway_env() -> None:
 
 
 def test_grids_of_speeds_are_not_in_highway_env_either() -> None:
-    ignore.cache_clear()
+    warn_once.cache_clear()
     with pytest.warns(UserWarning, match="'speed_range' has no effect on the action type 'DiscreteAction'"):
         gym.make("replica/highway-v0", config={"action": {"type": "DiscreteAction", "speed_range": [0, 1]}})

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, warn_once
 from sumo_env.driving import DrivingEnv
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.simulator import EgoCommand
-from sumo_env.tasks import network
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.drivers import RISK_RANGES
@@ -87,7 +86,7 @@ def test_parameters_follow_the_law_relative_to_each_driver_s_own_type(road: tupl
 
 def test_bicycles_and_parameters_that_a_model_lacks_are_left_alone(road: tuple[Path, Path]) -> None:
     values = []
-    network._warn_once.cache_clear()
+    warn_once.cache_clear()
     for dose in (0.0, 1.0):
         env = SumoDrivingEnv(*road, ["ab", "bc"], {"risk": dose, "warm_up": 90, "simulation_frequency": 5})
         with pytest.warns(UserWarning, match="no accel, decel, tau .* W99") if dose else nullcontext():

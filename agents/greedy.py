@@ -53,12 +53,7 @@ def with_weights(network: nn.Module, arrays: Mapping[str, np.ndarray], path: str
 
     Raises ValueError when they belong to another network, DamagedFile when one is no finite number.
     """
-    own = network.state_dict()
     try:
-        if odd := [
-            n for n, a in arrays.items() if n in own and (a.dtype.kind == "f") != own[n].is_floating_point()
-        ]:
-            raise TypeError(f"{odd[0]} has numbers of the type {arrays[odd[0]].dtype}")
         network.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
     except (RuntimeError, TypeError) as error:
         raise ValueError(f"{path} holds the weights of another network: {error}") from error

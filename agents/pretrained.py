@@ -9,17 +9,15 @@
 from __future__ import annotations
 
 import json
-import math
-import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agents.files import DamagedFile, load_arrays, save_arrays
-from agents.schema import Wrong, check, parsed
+from agents.plugins import unknown
+from agents.schema import check, parsed
 
 if TYPE_CHECKING:
     from agents.greedy import Greedy
@@ -29,8 +27,6 @@ FILE = Path(__file__).resolve().parents[1] / "results" / "agents.npz"
 CARDS = "cards"  # the entry with the cards as JSON; an agent's weights are the entries "SETTING/ARM/NAME"
 
 
-LABEL = re.compile(r"[\w.+-]+/[\w.+-]+")
-LARGEST = 1_000_000  # numbers in an observation
 SIZES = range(1, 10_000)  # of observations, in number of actions and steps
 THREE = [int | float] * 3  # a value, and the ends of its interval
 CARD = {
@@ -59,10 +55,6 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
         check(found, dict, CARDS)
         for name, about in found.items():
             check(about, CARD, name)
-            if not LABEL.fullmatch(name):
-                raise Wrong(f"{name!r} must be SETTING/ARM")
-            if math.prod(about["observations"]) > LARGEST:
-                raise Wrong(f"{name}.observations have more than {LARGEST:,} numbers")
     except (KeyError, ValueError) as error:
         raise DamagedFile(f"{file} is no file of agents ({error}): restore it from a copy.") from None
     return found
@@ -72,9 +64,7 @@ def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
     """The card of one agent, see :func:`cards`. Raises ValueError when there is no such agent."""
     known, wanted = cards(file), f"{setting}/{arm}"
     if wanted not in known:
-        near = get_close_matches(wanted, known, n=1, cutoff=0.5)
-        instead = f"Did you mean {near[0]}?" if near else f"There are: {', '.join(known)}."
-        raise ValueError(f"There is no agent {wanted}. {instead}")
+        raise unknown("agent", wanted, known)
     return known[wanted]
 
 
@@ -126,6 +116,6 @@ def save(
 def _arrays(file: Path) -> dict[str, np.ndarray]:
     if not file.exists():
         raise FileNotFoundError(
-            f"There is no {file}: write it from a study with python -m experiments.study.replaying.publish DIR."
+            f"There is no {file}: python -m experiments.study.replaying.publish DIR writes it."
         )
     return load_arrays(file)

@@ -22,10 +22,8 @@ from sumo_env.networks.meeting import Meeting
 from sumo_env.networks.roads import LaneIndex, Road
 
 FOLDER = Path(__file__).resolve().parent
-ASIDE, SHORT = (
-    0.5,
-    1.5,
-)  # [m] that a lane of SUMO's network may be beside highway-env's, and shorter at either end
+# [m] that a lane of SUMO's network may be beside highway-env's, and shorter at either end
+ASIDE, SHORT = 0.5, 1.5
 
 
 @dataclass(frozen=True, slots=True)

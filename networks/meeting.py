@@ -56,9 +56,8 @@ class Meeting:
                     self._inside.setdefault(lane, []).append((before, _edge_of(start)))
         self._together: dict[tuple[str, str, str], float] = {}  # see `_side_by_side`
         self._edges: dict[str, _Edge] = {}
-        self._leading: dict[
-            str, list[tuple[str, float]]
-        ] = {}  # junction -> (a next one, metres between them)
+        # junction -> (a next one, metres between them)
+        self._leading: dict[str, list[tuple[str, float]]] = {}
         self._ways: dict[str, dict[str, float]] = {}  # see `_ways_from`
         for edge in net.getEdges():
             name, start, end = edge.getID(), edge.getFromNode().getID(), edge.getToNode().getID()

@@ -28,9 +28,8 @@ NOBODY = "custom1"  # SUMO has no word for it: a class of which there are no veh
 LANES_COUNTS = (1, 2, 3, 4, 5, 6)  # highways that are built
 
 
-Item = dict[
-    str, Any
-]  # attributes of an XML element, and lists of elements inside it; lengths in m, lines as points
+# attributes of an XML element, and lists of elements inside it; lengths in m, lines as points
+Item = dict[str, Any]
 
 
 @dataclass(frozen=True)

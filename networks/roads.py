@@ -335,12 +335,8 @@ def merge() -> Road:
 
     Nobody may change to the ramp's lanes, and an obstacle stands at the end of the third lane.
     """
-    start, sine, end, last = (
-        150.0,
-        230.0,
-        310.0,
-        460.0,
-    )  # [m] along x: of the sine, of the third lane, of the road
+    # [m] along x: of the sine, of the third lane, of the road
+    start, sine, end, last = 150.0, 230.0, 310.0, 460.0
     amplitude, y = 3.25, 2 * WIDTH  # [m] of the sine; of the third lane
     curve: dict[str, Any] = {
         "amplitude": amplitude,

@@ -84,10 +84,8 @@ def _crashes(scene: Scene, other: str) -> Iterator[Mark]:
 
 def _near(scene: Scene) -> Iterator[Mark]:
     """The vehicle that the ego would hit first, if that were a near miss."""
-    (own, *halves), ego = (
-        ([size / 2.0 for size in scene.size(name)] for name in scene.ids),
-        state_of(scene, 0),
-    )
+    own, *halves = ([size / 2.0 for size in scene.size(name)] for name in scene.ids)
+    ego = state_of(scene, 0)
     least, name = inf, ""
     for row, half in enumerate(halves, 1):
         time = ego_ttc(ego, (state_of(scene, row),), NEAR_MISS_TTC, (half[0], half[1]), (own[0], own[1]))

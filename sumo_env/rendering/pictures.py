@@ -55,10 +55,8 @@ def draw(scene: Scene, road: Road, view: Mapping[str, Any], notes: Notes | None 
         pen.ellipse(box, outline=COLOURS[mark.kind], width=max(round(camera.scale * 0.4), 2))
         labels.append((x, y - reach, radius[mark.name] - RING, mark))
     picture = canvas.reduce(SUPERSAMPLING)
-    pen, size = (
-        ImageDraw.Draw(picture, "RGBA"),
-        9 if picture.height < 100 else min(12 + picture.height // 50, 20),
-    )
+    pen = ImageDraw.Draw(picture, "RGBA")
+    size = 9 if picture.height < 100 else min(12 + picture.height // 50, 20)
     font = _font(size)
     for x, y, below, mark in labels:  # above those of the same vehicle
         place = x / SUPERSAMPLING, y / SUPERSAMPLING - size * below

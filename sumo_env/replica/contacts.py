@@ -154,15 +154,3 @@ def ego_ttc(cars: Any) -> float:
             other = (car.x, car.y, car.speed, car.heading)
             least = min(least, _ego_ttc(state, (other,), min(least, HORIZON)))
     return least
-
-
-@inlined
-def trace_ttc(frame: Any, row: int) -> float:
-    """`ego_ttc` of the car in this row of a frame of a trace, whose first rows are x, y, speed and heading."""
-    x, y, least = frame[0, row], frame[1, row], math.inf
-    state = (x, y, frame[2, row], frame[3, row])
-    for j in range(frame.shape[1]):
-        if j != row and math.hypot(frame[0, j] - x, frame[1, j] - y) <= TTC_RADIUS:
-            other = (frame[0, j], frame[1, j], frame[2, j], frame[3, j])
-            least = min(least, _ego_ttc(state, (other,), min(least, HORIZON)))
-    return least

@@ -109,10 +109,8 @@ class ReplicaEnv(DrivingEnv):
             raise ConfigError(f"there is no version {version} of {task!r}; later versions are {known}")
         self._versioned = VERSIONS.get((str(task), version), {})
         self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
-        self._is_linear, self._is_fast = (
-            one_of("risk_law", risk_law, LAWS) == "linear",
-            task == "highway-fast",
-        )
+        self._is_linear = one_of("risk_law", risk_law, LAWS) == "linear"
+        self._is_fast = task == "highway-fast"
         self.replica = Replica(variant, self._is_linear, ego_contacts=self._is_fast)
         super().__init__(task, config, render_mode, self.replica)
 

@@ -6,12 +6,14 @@ import copy
 from dataclasses import replace
 from functools import lru_cache
 from itertools import compress
+from math import hypot, inf
 from typing import Any
 
 import numpy as np
 
 from sumo_env.config import one_of
 from sumo_env.contacts.crash import CrashRecord, crash_record
+from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex, Road, highway
 from sumo_env.observation import Kinematics, TableForm
@@ -106,7 +108,7 @@ class Replica:
         start, frames = end - rules.substeps, frames[:, :, : len(self._cars)]
         egos = {}
         for name, row in self._egos.items():
-            crash, min_ttc, distance = kernels.met(frames, row, speeds[name], rules.dt) if row else met
+            crash, min_ttc, distance = _met(frames, row, speeds[name], rules.dt) if row else met
             if crash >= 0 and name not in self._crashes:
                 self._crashes[name] = _record(self._scene(frames[crash], start + crash + 1).seen_by(name))
             target = self.lanes.names[self._cars[row]["target"]]
@@ -321,9 +323,25 @@ def _load() -> None:
         kernels.staying(lanes, cars)
         kernels.is_free(cars, 0.0, 0.0, 0.0)
         kernels.policy_step(lanes, rules, no_episodes(1), 0, frames)
-        kernels.met(frames, 0, 0.0, 0.0)
         sight.ego_place(lanes, cars)
         sight.observe(lanes, cars, Kinematics({}, 1).form, np.empty((5, 5), np.float32))
+
+
+def _met(frames: Any, row: int, speed: float, dt: float) -> tuple[int, float, float]:
+    """What `step.policy_step` returns, of the learning car in another row of its trace.
+
+    speed: before the step [m/s]; dt: length of a sub-step [s].
+    """
+    distance, least, crashes = 0.0, inf, np.flatnonzero(frames[:, CRASHED, row])
+    for number, frame in enumerate(frames):
+        distance += max(speed, 0.0) * dt
+        speed = frame[SPEED, row].item()
+        if not crashes.size or number < crashes[0]:
+            states = [(x, y, v, heading) for x, y, v, heading in frame[: HEADING + 1].T.tolist()]
+            ego = states.pop(row)
+            near = [one for one in states if hypot(one[0] - ego[0], one[1] - ego[1]) <= TTC_RADIUS]
+            least = min(least, ego_ttc(ego, near))
+    return int(crashes[0]) if crashes.size else -1, least, distance
 
 
 def _record(scene: Scene) -> CrashRecord:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_env.replica.compiled import compiled, inlined
-from sumo_env.replica.contacts import collide, ego_ttc, trace_ttc
+from sumo_env.replica.contacts import collide, ego_ttc
 from sumo_env.replica.driving import drive, follow_road, free_roads
 from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
 from sumo_env.replica.give_way import regulate
@@ -172,21 +172,4 @@ def policy_step(lanes: Any, rules: Any, batch: Any, row: int, trace: Any) -> tup
         elif crash < 0:
             crash = frame
     episode.steps += 1
-    return crash, least, distance
-
-
-@compiled
-def met(trace: Any, row: int, speed: float, dt: float) -> tuple[int, float, float]:
-    """What `policy_step` returns, of another learning car, from its trace.
-
-    row: of the car; speed: before the step [m/s]; dt: length of a sub-step [s].
-    """
-    crash, least, distance = -1, math.inf, 0.0
-    for frame in range(len(trace)):
-        distance += max(speed, 0.0) * dt
-        speed = trace[frame, SPEED, row]
-        if trace[frame, CRASHED, row] == 0.0:
-            least = min(least, trace_ttc(trace[frame], row))
-        elif crash < 0:
-            crash = frame
     return crash, least, distance

@@ -200,11 +200,8 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         for side, way in ((-1, "left"), (1, "right")):
             other = road.beside((start, end, lane), side)
             record[way] = NONE if other is None else numbers[other]
-        record["start"], record["end"], record["is_exit"] = (
-            nodes[start],
-            nodes[end],
-            road.clears_exits and end in road.ends,
-        )
+        record["start"], record["end"] = nodes[start], nodes[end]
+        record["is_exit"] = road.clears_exits and end in road.ends
         after = [pair for pair in roads if pair[0] == end]
         before = [pair for pair in roads if pair[1] == start]
         record["roads_after"] = _filled([roads[pair] for pair in after])

@@ -88,9 +88,8 @@ class Task:
     target_speeds: tuple[float, ...] = TARGET_SPEEDS
     # where further learning cars start, each with the ego's speed and destination: lane, s [m]
     start_places: ClassVar[tuple[tuple[LaneIndex, float], ...]] = ()
-    shares_reward: ClassVar[bool] = (
-        False  # whether highway-env looks at all learning cars, not at the first alone
-    )
+    # whether highway-env looks at all learning cars, not at the first alone
+    shares_reward: ClassVar[bool] = False
 
     def __deepcopy__(self, memo: dict[int, object]) -> Task:
         return self  # immutable

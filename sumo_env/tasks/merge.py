@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
+from sumo_env.contacts.rectangles import state_of
 from sumo_env.networks.roads import LaneIndex, Road, merge
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane
 from sumo_env.traffic.drivers import Calibration
@@ -98,7 +99,5 @@ def _held_up(ego: EgoState) -> float:
     if ego.scene is None or MERGING not in ego.scene.ids:
         return 0.0
     row = ego.scene.ids.index(MERGING)
-    x, y, heading, speed = (
-        values.item(row) for values in (ego.scene.x, ego.scene.y, ego.scene.heading, ego.scene.speed)
-    )
+    x, y, speed, heading = state_of(ego.scene, row)
     return (WANTED - speed) / WANTED if merge().closest_lane(x, y, heading) == RAMP_END else 0.0

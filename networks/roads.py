@@ -186,8 +186,6 @@ def _graph_order(lanes: Mapping[LaneIndex, Lane]) -> list[tuple[LaneIndex, Lane]
 @lru_cache(maxsize=8)
 def highway(lanes_count: int = 4) -> Road:
     """Parallel lanes to the east, 10 km, 30 m/s, lane i at y = 4 i."""
-    if lanes_count < 1:
-        raise ValueError(f"lanes_count must be at least 1, got {lanes_count}")
     return Road(
         "highway",
         {
@@ -206,8 +204,6 @@ def two_way(road_length: float = 800.0) -> Road:
 
     `road_length` [m] is where highway-env's road ends; vehicles drive on beyond it, in the same lanes.
     """
-    if road_length <= 0:
-        raise ValueError(f"the road's length must be positive, got {road_length} m")
     return Road(
         "two-way",
         {

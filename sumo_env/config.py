@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 from sumo_env.hints import TYPES as NOT_HERE
-from sumo_env.hints import page
+from sumo_env.hints import did_you_mean, page
 
 Config = dict[str, Any]
 
@@ -158,12 +158,6 @@ RENAMED = {
 
 class ConfigError(ValueError):
     """The configuration is invalid; the message names the key, the reason, and what is accepted."""
-
-
-def did_you_mean(word: str, choices: Iterable[str]) -> str:
-    """A question for an error message: the nearest known word; "" if none is near."""
-    match = difflib.get_close_matches(word, sorted(choices), n=1, cutoff=0.5)
-    return f"did you mean {match[0]!r}?" if match else ""
 
 
 def nearest(word: str, choices: Mapping[str, Any] | set[str] | list[str]) -> str:

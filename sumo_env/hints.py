@@ -100,6 +100,12 @@ def page(name: str, section: str = "") -> str:
     return f"{DOCUMENTATION}/{name}.html{section}" if DOCUMENTATION else f"docs/{name}.md{section}"
 
 
+def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
+    """A question for an error message: the nearest known word; "" if none is near."""
+    match = difflib.get_close_matches(word, sorted(choices), n=1, cutoff=cutoff)
+    return f"did you mean {match[0]!r}?" if match else ""
+
+
 def missing(owner: str, name: str, known: Iterable[str]) -> AttributeError:
     """The error about an attribute that is not here.
 
@@ -108,10 +114,7 @@ def missing(owner: str, name: str, known: Iterable[str]) -> AttributeError:
         name: the attribute.
         known: what there is instead.
     """
-    told = f"{owner} has no attribute {name!r}"
-    if name in REASONS:
-        told += f": {REASONS[name]}"
-    elif near := difflib.get_close_matches(name, list(known), n=1, cutoff=0.75):
-        told += f": did you mean {near[0]!r}?"
+    instead = REASONS.get(name) or did_you_mean(name, known, 0.75)
+    told = f"{owner} has no attribute {name!r}" + (f": {instead}" if instead else "")
     # with its name alone, so that Python adds no guess of its own
     return AttributeError(f"{told} ({page('from-highway-env')})", name=name)

@@ -6,7 +6,6 @@ outputs that open a connection; where outputs go, `settings.file_settings` says.
 
 from __future__ import annotations
 
-import difflib
 import gzip
 import os
 import re
@@ -63,14 +62,12 @@ class Contents:
             ConfigError: there is none; the message names near ids.
         """
         known = sorted(self.vehicles)
-        stem, _, number = name.rpartition(".")
+        stem = name.rpartition(".")[0]  # of a vehicle of a flow
         if name in self.left_out or stem in self.left_out:
             raise ConfigError(f"SUMO leaves out the vehicle {name!r}: {UNSORTED}")
         if name in known or stem in known:
             return
-        near = difflib.get_close_matches(name, known, n=5)
-        near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, known, n=5)]
-        hint = f"did you mean one of {', '.join(near)}?" if near else f"they have {', '.join(known[:20])}"
+        hint = did_you_mean(name, known) or did_you_mean(stem, known) or f"they have {', '.join(known[:20])}"
         raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
 
     def check_type(self, name: str) -> None:

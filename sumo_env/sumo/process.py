@@ -206,9 +206,7 @@ class SumoProcess:
             for command, arguments in self._calls:
                 getattr(there, command)(*arguments)
             if not same(there._scene, self._scene):
-                raise SimulatorError(
-                    "driven again for a copy, the episode is another one: did libsumo change it?"
-                )
+                raise SimulatorError("driven again, this episode is another: was it changed through libsumo?")
         except BaseException:
             there.close()
             raise

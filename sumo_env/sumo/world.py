@@ -90,7 +90,7 @@ class SumoSimulator:
             self._check_window(error)
             raise SimulatorError(
                 f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "
-                f"{self._time:.1f} s): {_words(error)} Are its files wrong, or was libsumo called from elsewhere?"
+                f"{self._time:.1f} s): {_words(error)} Are files wrong, or was libsumo called elsewhere? Call reset()."
             ) from error
 
     def _check_window(self, error: Exception) -> None:
@@ -255,7 +255,9 @@ class SumoSimulator:
             if command is None:
                 self._remove(name)
             elif name not in self._cars:
-                raise SimulatorError(f"the learning car {name!r} is not on the road: did libsumo remove it?")
+                raise SimulatorError(
+                    f"the learning car {name!r} is not on the road: did libsumo remove it? Call reset()."
+                )
         for name, car in self._cars.items():
             car.obey(commands.get(name))
 

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from sumo_env.config import ConfigError, whole_number
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import MAX_SPEED, Place
+from sumo_env.scene import MAX_SPEED, Place, Scene
 from sumo_env.simulator import Command, EgoCommand, SteeringCommand
-from sumo_env.tasks.base import TARGET_SPEEDS, lmap, nearest_index
+from sumo_env.tasks.base import TARGET_SPEEDS, EgoState, lmap, nearest_index
 from sumo_env.traffic.scenario import VehicleSpec
 
 NO_ACTION = -1  # in ``info``, at a reset
@@ -34,27 +34,21 @@ CHANGES_LANE = 1 / 3  # the lateral number of `ContinuousAction` beyond which th
 PlainAction = int | float | tuple[float, ...]
 
 
-class Moment(NamedTuple):
-    """What a meta-action depends on, before a policy step.
+class Situation(NamedTuple):
+    """What actions and observations are made of, before a policy step.
 
-    Attributes:
-        road: its lanes.
-        route: nodes of the ego's route.
-        target_lane: that the ego steers for.
-        speed_index: of the ego's target speed.
-        x, y: where the ego is [m].
-        speed: of the ego [m/s].
-        place: what SUMO says about where the ego is, among the traffic of its own files.
+    before_ego: others that are first in their cell of a grid, before the ego; is_first: of an episode.
     """
 
+    scene: Scene
     road: Road
-    route: tuple[str, ...]
-    target_lane: LaneIndex
-    speed_index: int
-    x: float
-    y: float
-    speed: float
-    place: Place | None = None
+    ego: EgoState
+    specs: Mapping[str, VehicleSpec]  # of the vehicles, by id
+    rng: np.random.Generator  # shuffles the rows of a table
+    target_speeds: tuple[float, ...]  # that the ego can be commanded [m/s]
+    route: tuple[str, ...]  # nodes of the ego's
+    before_ego: int = 0
+    is_first: bool = False
 
 
 # -- meta-actions --------------------------------------------------------------------------------------------------
@@ -97,16 +91,16 @@ class DiscreteMetaAction:
         """Its actions, the most careful first."""
         return tuple(sorted(self.names, key=lambda action: CAUTION.index(self.names[action])))
 
-    def command(self, action: Any, moment: Moment) -> EgoCommand:
+    def command(self, action: Any, now: Situation) -> EgoCommand:
         """The target speed and target lane after a meta-action; ValueError if there is no such one."""
         try:
             name = self.names[index(action)]
         except (KeyError, TypeError):
             raise ValueError(f"action must be one of {self.names}, not {action!r}") from None
-        index_of_speed = target_speed_index(name, moment.speed_index, moment.speed, self.target_speeds)
+        index_of_speed = target_speed_index(name, now.ego.speed_index, now.ego.speed, self.target_speeds)
         return EgoCommand(
             None if self.by_sumo[0] else self.target_speeds[index_of_speed],
-            None if self.by_sumo[1] else lane_after(name, moment),
+            None if self.by_sumo[1] else lane_after(name, now),
         )
 
     def plain(self, action: Any) -> int:
@@ -135,11 +129,12 @@ def target_lane(
     return lane
 
 
-def lane_after(action: str, moment: Moment) -> LaneIndex:
+def lane_after(action: str, now: Situation) -> LaneIndex:
     """Target lane after a meta-action, by what SUMO or else the road says may be done."""
-    if moment.place is not None:
-        return lane_beside(action, moment.place, moment.target_lane)
-    return target_lane(action, moment.road, moment.target_lane, moment.route, moment.x, moment.y)
+    scene, lane = now.scene, now.ego.target_lane
+    if scene.place is not None:
+        return lane_beside(action, scene.place, lane)
+    return target_lane(action, now.road, lane, now.route, scene.x.item(0), scene.y.item(0))
 
 
 def lane_beside(action: str, place: Place, lane: LaneIndex) -> LaneIndex:
@@ -220,7 +215,7 @@ class ContinuousAction:
         """Zeros."""
         return np.zeros(self.size, np.float32)
 
-    def command(self, action: Any, moment: Moment) -> Command:
+    def command(self, action: Any, now: Situation) -> Command:
         """The pedals and the steering wheel, or the lane; ValueError if these are not the axes' numbers."""
         if np.shape(action) != self.space.shape:
             raise ValueError(f"action must be one of {self.space}, not {action!r}")
@@ -228,13 +223,13 @@ class ContinuousAction:
         if self.steers:
             return SteeringCommand(acceleration, steering, self.speed_range, self.dynamical)
         low, high = self.speed_range or (0.0, MAX_SPEED)
-        speed = high if acceleration > 0.0 else max(low, 0.0) if acceleration < 0.0 else moment.speed
+        speed = high if acceleration > 0.0 else max(low, 0.0) if acceleration < 0.0 else now.ego.speed
         change = (
             "LANE_LEFT" if steering < -CHANGES_LANE else "LANE_RIGHT" if steering > CHANGES_LANE else "IDLE"
         )
         return EgoCommand(
             None if self.by_sumo[0] else speed,
-            None if self.by_sumo[1] else lane_after(change, moment),
+            None if self.by_sumo[1] else lane_after(change, now),
             abs(acceleration),
         )
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType as Kind
+from sumo_env.actions import Situation
 from sumo_env.config import STOCK_FREQUENCY, Config, resolve
 from sumo_env.hints import NEVER_CALLED, missing, page
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.observation import Situation
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
@@ -76,6 +76,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     _action_type: Kind
     _observation_type: Any
     _own_observation: Any = None  # a subclass's
+    _before_ego = 0  # see `Situation`
     _road: Road
     _spec_of: dict[str, VehicleSpec]
     _row_order: np.random.Generator
@@ -129,7 +130,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     def _situation(self) -> Situation:
         seen = self.scene, self._road, self.ego_state, self._spec_of, self._row_order
-        return Situation(*seen, self.target_speeds, self._route, is_first=self.steps == 0)
+        return Situation(*seen, self.target_speeds, self._route, self._before_ego, self.steps == 0)
 
     @property
     def time(self) -> float:

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import Moment, PlainAction, ego_route
+from sumo_env.actions import PlainAction, ego_route
 from sumo_env.as_highway_env import class_or_instance
 from sumo_env.config import COMMON, Config, ConfigError, pace, tell_of_steps
 from sumo_env.contacts.rectangles import state_of
@@ -228,11 +228,7 @@ class DrivingEnv(OnScreen, OwnSumo):
 
     def _command(self, action: Any) -> Command:
         """What an action commands the ego."""
-        here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
-        moment = Moment(
-            self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place
-        )
-        command = self._action_type.command(action, moment)
+        command = self._action_type.command(action, self._situation())
         return EgoCommand(None, None) if self._handed_over else command
 
     def _drive(self, commands: Commands) -> Step:

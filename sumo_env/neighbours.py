@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from sumo_env.actions import Situation
 from sumo_env.config import ConfigError, one_of
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.observation import Array, Situation, on_its_way
+from sumo_env.observation import Array, on_its_way
 from sumo_env.scene import (
     CLOSING,
     MAX_SPEED,

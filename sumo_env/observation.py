@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from sumo_env.actions import Situation
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of, whole_number
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
@@ -23,7 +24,6 @@ from sumo_env.scene import (
     Scene,
     is_obstacle,
 )
-from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
 
 Array = NDArray[np.float32]
@@ -48,23 +48,6 @@ class TableForm(NamedTuple):
     see_behind: bool
     has_obstacles: bool
     is_sorted: bool
-
-
-class Situation(NamedTuple):
-    """What an observation is made of.
-
-    before_ego: others that are first in their cell of a grid, before the ego; is_first: of an episode.
-    """
-
-    scene: Scene
-    road: Road
-    ego: EgoState
-    specs: Mapping[str, VehicleSpec]  # of the vehicles, by id
-    rng: np.random.Generator  # shuffles the rows of a table
-    target_speeds: tuple[float, ...]  # that the ego can be commanded [m/s]
-    route: tuple[str, ...]  # nodes of the ego's
-    before_ego: int = 0
-    is_first: bool = False
 
 
 class Kinematics:

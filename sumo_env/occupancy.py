@@ -10,9 +10,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from sumo_env.actions import Situation
 from sumo_env.config import OCCUPANCY_GRID, ConfigError, one_of
 from sumo_env.networks.roads import Road
-from sumo_env.observation import FEATURES, RELATIVE, Kinematics, Situation, ranges_of
+from sumo_env.observation import FEATURES, RELATIVE, Kinematics, ranges_of
 from sumo_env.scene import MAX_SPEED, Scene, is_obstacle
 
 ON_ROAD = "on_road"

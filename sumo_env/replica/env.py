@@ -14,7 +14,7 @@ from sumo_env.as_highway_env import class_or_instance
 from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of
 from sumo_env.driving import DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.observation import OFFSETS, Kinematics, Situation
+from sumo_env.observation import OFFSETS, Kinematics
 from sumo_env.replica import draws
 from sumo_env.replica.batch import Start
 from sumo_env.replica.draws import INSTEAD
@@ -217,13 +217,11 @@ class ReplicaEnv(DrivingEnv):
     def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
         return self.replica.ego_place()
 
-    def _situation(self) -> Situation:
-        return super()._situation()._replace(before_ego=self.replica.before_ego())
-
     def _observe(self) -> Observation:
         if self._action_type.steers:  # it follows no route
             self._spec_of[self.ego_id] = self._spec_of[self.ego_id]._replace(destination=None)
         if self._own_observation is not None or self.form is None:
+            self._before_ego = self.replica.before_ego()
             return super()._observe()
         table = self.replica.table(self.form)
         if not self.form.is_sorted:

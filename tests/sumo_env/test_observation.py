@@ -11,10 +11,9 @@ import pytest
 from highway_env.envs.common.observation import ObservationType, observation_factory
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
-from sumo_env.actions import ego_route
+from sumo_env.actions import Situation, ego_route
 from sumo_env.config import resolve
 from sumo_env.interface import interface
-from sumo_env.observation import Situation
 from sumo_env.tasks import TASKS
 from tests.tasks import every_task
 

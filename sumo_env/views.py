@@ -11,6 +11,7 @@ from collections.abc import Container, Mapping, Sequence
 from functools import cached_property
 from importlib import import_module
 from math import cos, sin
+from operator import itemgetter
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
@@ -304,8 +305,10 @@ class RoadView(View):
                 lane, offset = on[0]
                 places.append((lane.local_coordinates(other.position)[0] + offset - here, other))
         # of two at the same place, highway-env takes the later one ahead and the earlier one behind
-        ahead = min(reversed([each for each in places if each[0] >= 0.0]), key=_place, default=(0.0, None))
-        behind = max((each for each in places if each[0] < 0.0), key=_place, default=(0.0, None))
+        ahead = min(
+            reversed([each for each in places if each[0] >= 0.0]), key=itemgetter(0), default=(0.0, None)
+        )
+        behind = max((each for each in places if each[0] < 0.0), key=itemgetter(0), default=(0.0, None))
         return ahead[1], behind[1]
 
     def _connected(self, index: LaneIndex) -> list[tuple[LaneView, float]]:
@@ -341,10 +344,6 @@ class RoadView(View):
         if sort:
             close.sort(key=lambda other: abs(vehicle.lane_distance_to(other)))
         return close[:count] if count else close
-
-
-def _place(item: tuple[float, Vehicle | None]) -> float:
-    return item[0]
 
 
 def road_view(

@@ -109,16 +109,14 @@ class Camera(NamedTuple):
         """
         size = np.array([int(view["screen_width"]), int(view["screen_height"])]) * finer
         scale = float(view["scaling"]) * finer
-        corner = _ego(scene) * scale - size * np.array(view["centering_position"])
+        corner = np.array([scene.x.item(0), scene.y.item(0)]) * scale - size * np.array(
+            view["centering_position"]
+        )
         return cls(np.rint(corner).astype(np.int64), size, scale)
 
     def place(self, x: float, y: float) -> Points:
         """Where a point of the plane [m] is in the picture [px]."""
         return np.array([x, y]) * self.scale - self.corner
-
-
-def _ego(scene: Scene) -> Points:
-    return np.array([scene.x.item(0), scene.y.item(0)])
 
 
 def scenery(scene: Scene, road: Road, camera: Camera, paint: Paint, mode: str = "RGB") -> Image.Image:

@@ -100,17 +100,12 @@ class FileSimulator(SumoSimulator):
             )
         steps = 0
         while not any(vehicle.name in self._road for vehicle in self._departed):
-            if self._departed and self._is_alone:
+            if self._departed and not (scenario.further or traffic.car_type):
                 raise SimulatorError(f"the ego {name!r} has left the road before 'warm_up' was over")
             if steps * self._dt >= traffic.wait:
                 raise SimulatorError(self._why_not_here(traffic))
             self._advance()
             steps += 1
-
-    @property
-    def _is_alone(self) -> bool:
-        """Whether there is no other learning car than the ego."""
-        return not self._scenario.further and not self._traffic.car_type
 
     def _is_learning(self, name: str) -> bool:
         """Whether a vehicle that departs is a learning car."""

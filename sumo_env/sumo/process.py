@@ -161,8 +161,10 @@ class SumoProcess:
 
     def _copy_into(self, twin: SumoProcess) -> None:
         forks = link.FORKS and not self._live
-        if isinstance(self._talk(lambda host: host), _Here) and forks:
-            self._move_out()
+        if isinstance(self._talk(lambda host: host), _Here) and forks:  # go on in a worker
+            there = self._driven_again()
+            self._end()
+            self._adopt(there)
         if forks:
             twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
         else:
@@ -192,12 +194,6 @@ class SumoProcess:
             self._forgotten.detach()
             self._host.end(grace)
             self._host = None
-
-    def _move_out(self) -> None:
-        """Go on in a worker, where the episode is driven again up to here."""
-        there = self._driven_again()
-        self._end()
-        self._adopt(there)
 
     def _driven_again(self) -> _Worker:
         """A new worker in which the episode has been driven again up to here."""

@@ -91,7 +91,7 @@ class RouteEgo:
         """Command the next step of `dt` [s]; `settle` says how far it gets."""
         session, name, before = self._session, self._name, self.speed
         self._position = session.vehicle.getLanePosition(name)
-        self._signal = session.next_signal(name)
+        self._signal = session.vehicle.getNextTLS(name)[:1]
         if self.vehicle.crashed:
             self.vehicle.drive(coast(before, dt)[0])
         elif self._target_speed is not None:
@@ -129,7 +129,7 @@ class RouteEgo:
             self._electricity += session.vehicle.getElectricityConsumption(self._name) * dt
         self.read_lane()
         if self._signal and self._lane != before and not before.startswith(":"):
-            signal, connection, distance = self._signal
+            ((signal, connection, distance, _),) = self._signal
             edge, reached = before.rpartition("_")[0], distance <= self.speed * dt + REACHED
             if self._lane.rpartition("_")[0] != edge and reached:
                 # a sign that lets vehicles turn after a stop does not forbid to drive
@@ -154,7 +154,8 @@ class RouteEgo:
         lane = session.vehicle.getLaneID(self._name)
         if not lane or (lane == self._lane and not again):
             return
-        self._lane, self.ahead = lane, session.route_ahead(self._name)
+        of = session.vehicle
+        self._lane, self.ahead = lane, of.getRoute(self._name)[max(of.getRouteIndex(self._name), 0) :]
         if lane not in self._network.indices:
             raise ValueError(
                 f"the ego {self._name!r} ({self._class}) is on {lane!r}, no lane for vehicles of roads"

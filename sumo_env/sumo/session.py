@@ -207,10 +207,6 @@ class Session:
             behind -= 1
         return str(self.vehicle.getRoute(name)[behind]) if behind >= 0 else ""
 
-    def route_ahead(self, name: str) -> tuple[str, ...]:
-        """Edges that are left of a vehicle's route, the present one first."""
-        return tuple(self.vehicle.getRoute(name)[max(self.vehicle.getRouteIndex(name), 0) :])
-
     def lanes_ahead(self, name: str) -> list[tuple[str, float, bool]]:
         """Lanes of a vehicle's edge from SUMO's lane 0 on: id, length [m], whether its route goes on from there."""
         best = self.vehicle.getBestLanes(name)
@@ -225,11 +221,6 @@ class Session:
         return (not allowed or vehicles in allowed) and vehicles in self.sumo.lane.getChangePermissions(
             lane, side
         )
-
-    def next_signal(self, name: str) -> tuple[str, int, float] | None:
-        """The next traffic light on a vehicle's way: its id, the number of the connection, distance [m]."""
-        ahead = self.vehicle.getNextTLS(name)
-        return (str(ahead[0][0]), int(ahead[0][1]), float(ahead[0][2])) if ahead else None
 
     def next_light(self, name: str) -> Light:
         """The next traffic light on a vehicle's way."""

@@ -5,33 +5,30 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from math import inf
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from sumo_env.contacts.crash import CrashDetector, CrashRecord, record
 from sumo_env.contacts.measures import HORIZON
 from sumo_env.contacts.rectangles import CAR, State, first_touch
 from sumo_env.networks.meeting import Meeting
 from sumo_env.simulator import EgoCommand, EgoStep
-from sumo_env.sumo.ego import Ego
-from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.surroundings import Surroundings
 
-Driven = TypeVar("Driven", bound=Ego | RouteEgo)
 BY_SUMO = EgoCommand(None, None)
 
 
-class Car(Generic[Driven]):
+class Car:
     """One learning car.
 
     Attributes:
-        ego: drives it.
+        ego: an `Ego` or a `RouteEgo`, which drives it.
         around: what is near it.
         is_commanded: whether it has a command for this policy step; else SUMO drives it.
         distance: covered in this policy step [m].
     """
 
-    def __init__(self, session: Session, name: str, ego: Driven, meeting: Meeting | None) -> None:
+    def __init__(self, session: Session, name: str, ego: Any, meeting: Meeting | None) -> None:
         """See `Surroundings`."""
         self.name, self.ego, self.is_commanded = name, ego, False
         self.around = Surroundings(session, ego.speed, meeting, ego=name)
@@ -90,7 +87,7 @@ class Car(Generic[Driven]):
             ego.overlap = ego.overlap if touch is None else apart[touch[0]]
         return [name for name in ids if name not in apart]
 
-    def be_hit(self, other: Car[Driven], crash: CrashRecord) -> None:
+    def be_hit(self, other: Car, crash: CrashRecord) -> None:
         """Another learning car has touched this one; the contact is this car's first one, unless it had one."""
         if not self.ego.vehicle.crashed:
             self.ego.vehicle.crash(self.ego.speed)

@@ -13,7 +13,6 @@ from dataclasses import replace
 from itertools import pairwise
 from math import inf
 from pathlib import Path
-from typing import Any
 
 from sumo_env.scene import NO_LIGHT, Light, Place, Scene
 from sumo_env.simulator import Commands, SimulatorError
@@ -214,6 +213,6 @@ class FileSimulator(SumoSimulator):
     def _others(self) -> list[str]:
         return [name for name in self._session.vehicles() if name not in self._cars]
 
-    def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:
+    def _seen(self, name: str, car: Car) -> tuple[Light, Place | None]:
         light = NO_LIGHT if car.ego.ended in GONE else self._session.next_light(name)
         return light, car.ego.place(len(self._session.simulation.getPendingVehicles()))

@@ -127,7 +127,7 @@ class SumoSimulator:
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._road: dict[str, Vehicle] = {}  # the vehicles on the road, learning cars among them
         # the learning cars of the scene; of files, some may have left the road
-        self._cars: dict[str, Car[Any]] = {}
+        self._cars: dict[str, Car] = {}
         self._events = Events(self._session, scenario, self._network, self._road)
 
     def _begin(self, scenario: Scenario) -> Scene:
@@ -282,7 +282,7 @@ class SumoSimulator:
         self._time += self._dt
         return self._session.step()
 
-    def _hit(self, car: Car[Any], crash: CrashRecord) -> None:
+    def _hit(self, car: Car, crash: CrashRecord) -> None:
         """A learning car has crashed, and the other vehicle too."""
         if crash.other in self._cars:
             self._cars[crash.other].be_hit(car, crash)
@@ -383,7 +383,7 @@ class SumoSimulator:
             known += [name for name in present if name not in self._road]
         return known
 
-    def _seen(self, name: str, car: Car[Any]) -> tuple[Light, Place | None]:
+    def _seen(self, name: str, car: Car) -> tuple[Light, Place | None]:
         """What a learning car has ahead of it."""
         return NO_LIGHT, None
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -70,9 +70,6 @@ class Network:
     indices: Mapping[str, LaneIndex]
     sumo_lanes: Mapping[str, SumoLane]
     meeting: Meeting | None = None
-    _beginnings: dict[tuple[LaneIndex, str | None], tuple[str, SumoLane, float, int]] = field(
-        default_factory=dict, repr=False
-    )
 
     def stretch(self, sumo_lane: str) -> float:
         """SUMO's length of a lane over its drawn length: the factor for a commanded ground speed."""
@@ -138,9 +135,11 @@ class Network:
         """
         if self.road.oncoming and index == ("a", "b", 0):
             raise ValueError('place on ("a", "b", 1) and change lane: SUMO has no eastbound lane at y = 0')
-        beginning = self._beginnings.get((index, destination))
-        key, lane, first, edge = beginning or self._begin(index, destination)
+        key, lane = self.sumo_route(index, destination), self.lanes[index]
         edges = self.routes[key]
+        # Inside the intersection there is no edge: count from the entry, the first edge of the route.
+        edge = 0 if lane.id.startswith(":") else edges.index(_edge(lane.id))
+        first, _ = self.road.lane(index).local_coordinates(*lane.shape[0])
         ahead = _travelled(self.road.lane(index), first, s) + half
         while not 0 <= ahead <= lane.drawn:
             step = 1 if ahead > 0 else -1
@@ -156,16 +155,6 @@ class Network:
                 lane = self.sumo_lanes[beside]
                 ahead += lane.drawn
         return key, lane.id, ahead * lane.length / lane.drawn
-
-    def _begin(self, index: LaneIndex, destination: str | None) -> tuple[str, SumoLane, float, int]:
-        """For a vehicle on lane `index`: key of its route, SUMO's lane, s [m] where that begins, place of its edge."""
-        key = self.sumo_route(index, destination)
-        lane = self.lanes[index]
-        # Inside the intersection there is no edge: count from the entry, the first edge of the route.
-        edge = 0 if lane.id.startswith(":") else self.routes[key].index(_edge(lane.id))
-        found = key, lane, self.road.lane(index).local_coordinates(*lane.shape[0])[0], edge
-        self._beginnings[index, destination] = found
-        return found
 
     def _beside(self, lane: str, edges: tuple[str, ...], edge: int, step: int) -> str | None:
         """The lane or joint after (step 1) or before (-1) a SUMO lane on a route; the rightmost one."""

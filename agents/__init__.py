@@ -3,7 +3,7 @@
 Knows gymnasium, numpy and torch; knows no simulator and no task by name.
 
     learner      the contract of a learner; learners: all by name
-    dqn          double DQN: settings, update, loop; stable: DQN and PPO of Stable-Baselines3
+    dqn          double DQN: settings, update, loop; sb3: DQN and PPO of Stable-Baselines3
     episodes     what is written down about training episodes
     models       Q-networks: the paper's dueling network, ego attention, inputs standardised
     replay       uniform replay memory

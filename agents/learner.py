@@ -1,7 +1,7 @@
 """What a learner is: settings and a function, so that a study knows no more of it.
 
 `agents.learners` has them by name; a learner of your own is an object with the attributes of `Learner` in a file,
-FILE:NAME. `agents.stable` has learners of another library.
+FILE:NAME. `agents.sb3` has learners of another library.
 
 * ``Settings``: a frozen dataclass with the properties ``steps`` (environment steps of a training) and ``updates``
   (gradient updates), and, where packages apart from numpy and torch decide the bits, ``packages`` (their names).

@@ -12,7 +12,7 @@ from agents.greedy import Greedy
 from agents.learner import Learner, MakeEnv, Trained
 from agents.models import Standardised, network_class
 from agents.plugins import named
-from agents.stable import DQNSettings, PPOSettings, StableBaselines3
+from agents.sb3 import DQNSettings, PPOSettings, StableBaselines3
 
 
 class DoubleDQN:

@@ -19,7 +19,6 @@ from sumo_env.config import COMMON, Config, ConfigError, pace, tell_of_steps
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import ending, information, interface, on_its_way, paid_late
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.screen import OnScreen
 from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed

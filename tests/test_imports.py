@@ -71,7 +71,7 @@ FLOORS = {
     "sumo_env": """
         networks < scene streams hints < config < contacts < traffic < tasks simulator < actions
         < observation rendering export window < occupancy grayscale neighbours views < interface as_highway_env < sumo
-        < own_sumo screen < driving < several < env < doctor
+        < sumo_access screen < driving < several < env < doctor
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation

@@ -30,7 +30,7 @@ from gymnasium import logger
 from sumo_env.config import warn_once
 from sumo_env.scene import Scene, same
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
-from sumo_env.sumo import link
+from sumo_env.sumo import pipe
 from sumo_env.sumo.options import LIVE, check_copyable
 from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
@@ -160,7 +160,7 @@ class SumoProcess:
         return twin
 
     def _copy_into(self, twin: SumoProcess) -> None:
-        forks = link.FORKS and not self._live
+        forks = pipe.FORKS and not self._live
         if isinstance(self._talk(lambda host: host), _Here) and forks:  # go on in a worker
             there = self._driven_again()
             self._end()
@@ -294,8 +294,8 @@ class _Worker:
         # The worker imports what this process would import. PYTHONPATH cannot have a colon in a name.
         path = [entry for entry in sys.path if isinstance(entry, str)]  # Python skips others
         begin = f"import sys; sys.path[:] = {path!r}; from sumo_env.sumo.worker import main; main()"
-        program = [link.interpreter(), "-c", begin]
-        child, ours = link.start(program, [simulator, *options], {**os.environ, **SINGLE_THREAD})
+        program = [pipe.interpreter(), "-c", begin]
+        child, ours = pipe.start(program, [simulator, *options], {**os.environ, **SINGLE_THREAD})
         return cls(child.pid, ours, child)
 
     def fork(self, timeout: float | None) -> _Worker:
@@ -312,13 +312,13 @@ class _Worker:
     def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> Any:
         """The answer to a request: an exception or None, and a value."""
         self._send(command, arguments, timeout)
-        return link.receive(self._socket)
+        return pipe.receive(self._socket)
 
     def _send(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> None:
         # kinds of events may be classes of the user's script, which the worker does not import
         own = any(isinstance(one, Scenario) and one.has_own_kinds for one in arguments)
         self._socket.settimeout(timeout)
-        link.send(self._socket, (cloudpickle if own else pickle).dumps((command, arguments), 5))
+        pipe.send(self._socket, (cloudpickle if own else pickle).dumps((command, arguments), 5))
 
     def death(self, error: Exception) -> str:
         """How the worker has ended, given the error that `exchange` has met."""

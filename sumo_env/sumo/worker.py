@@ -18,7 +18,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo.link import FORKS, connect, receive, send
+from sumo_env.sumo.pipe import FORKS, connect, receive, send
 from sumo_env.traffic.sumo_files import delete_own_folder
 
 

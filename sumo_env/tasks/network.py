@@ -15,10 +15,10 @@ from sumo_env.networks.roads import Road
 from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST, Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import EgoState, Task, ego_driver, make_on_lane, speed_term
-from sumo_env.tasks.drawn import elements
-from sumo_env.tasks.terms import TERMS, measures_energy, terms
+from sumo_env.tasks.random_traffic import elements
+from sumo_env.tasks.reward_terms import TERMS, measures_energy, terms
 from sumo_env.traffic.drivers import LACKING
-from sumo_env.traffic.foreign import UNSORTED, check_files
+from sumo_env.traffic.file_checks import UNSORTED, check_files
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
 from sumo_env.traffic.sumo_files import (

@@ -63,7 +63,7 @@ class Asked:
     learner: Annotated[str | None, argument("NAME", "dqn")] = None
     """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
     settings: Annotated[Names, argument("KEY=VALUE ...")] = None
-    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/stable.py)."""
+    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/sb3.py)."""
     network: Annotated[str | None, argument("NAME")] = None
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[Names, argument("FILE:MAKE ...", "none")] = None

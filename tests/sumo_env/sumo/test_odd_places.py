@@ -11,7 +11,7 @@ import pytest
 
 from sumo_env.config import ConfigError
 from sumo_env.networks.mapping import network
-from sumo_env.sumo import link, process
+from sumo_env.sumo import pipe, process
 from sumo_env.traffic import sumo_files
 from tests.processes import python
 
@@ -72,9 +72,9 @@ def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> 
 
 @pytest.mark.parametrize("executable", [None, "", "/bin/true"])
 def test_a_program_is_found_beside_the_library(executable: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = link.interpreter()
+    known = pipe.interpreter()
     monkeypatch.setattr(sys, "executable", executable)
     monkeypatch.setattr("multiprocessing.spawn._python_exe", None)
-    assert Path(link.interpreter()).resolve() == Path(known).resolve()
+    assert Path(pipe.interpreter()).resolve() == Path(known).resolve()
     monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/bin/sh")
-    assert link.interpreter() == "/bin/sh"
+    assert pipe.interpreter() == "/bin/sh"

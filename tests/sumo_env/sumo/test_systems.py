@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import pytest
 
-from sumo_env.sumo import link
+from sumo_env.sumo import pipe
 from tests.sumo_env.rollout import assert_same_bits, drive
 
 ACTIONS = [1, 0, 2, 3, 1, 4]
@@ -18,7 +18,7 @@ ACTIONS = [1, 0, 2, 3, 1, 4]
 @pytest.fixture
 def no_fork(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on Windows and macOS: a process that has loaded SUMO is not forked."""
-    monkeypatch.setattr(link, "FORKS", False)
+    monkeypatch.setattr(pipe, "FORKS", False)
     monkeypatch.setattr("sumo_env.sumo.process._Worker.fork", None)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
-from sumo_env.traffic.foreign import check_files
+from sumo_env.traffic.file_checks import check_files
 from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.scenario.files import written
 

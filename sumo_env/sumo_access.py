@@ -24,7 +24,7 @@ from sumo_env.sumo.proxy import Sumo
 from sumo_env.sumo.settings import file_settings
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
-from sumo_env.traffic.foreign import check_outputs
+from sumo_env.traffic.file_checks import check_outputs
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.traffic.sumo_files import is_output, temporary_folder
 

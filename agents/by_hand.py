@@ -131,9 +131,7 @@ class Passes:
         """
         n, wanted = len(observations), self._own[2].shape
         if observations.shape[1:] != wanted:
-            raise ValueError(
-                f"Expected observations (n, {wanted[0]}, {wanted[1]}), got {observations.shape}."
-            )
+            raise ValueError(f"Expected observations (n, {wanted[0]}, {wanted[1]}), got {observations.shape}")
         if n not in self._kept:
             self._kept[n] = self._new(n)
         self._last = self._kept[n]

@@ -336,6 +336,4 @@ def _sizes(observations: gym.Space, actions: gym.Space) -> tuple[gym.spaces.Box,
         and actions.start == 0
     ):
         return observations, int(actions.n)
-    raise ValueError(
-        f"A DQN needs Box observations and Discrete actions from 0, got {observations}, {actions}."
-    )
+    raise ValueError(f"A DQN needs Box observations and Discrete actions from 0: {observations}, {actions}")

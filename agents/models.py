@@ -81,9 +81,7 @@ class EgoAttention(nn.Module):
     def __init__(self, space: gym.spaces.Box, actions: int, width: int = 64, heads: int = 2) -> None:
         super().__init__()
         if len(space.shape) != 2:
-            raise ValueError(
-                f"Attention needs observations (vehicles, features), got the shape {space.shape}."
-            )
+            raise ValueError(f"Attention needs observations (vehicles, features), got shape {space.shape}")
         self.heads = heads
         self.ego = layers((space.shape[1], width, width))
         self.others = layers((space.shape[1], width, width))

@@ -62,9 +62,7 @@ class StableBaselines:
         for name in ("observation_space", "action_space"):
             wanted, given = getattr(self._model, name), getattr(env, name)
             if wanted != given:
-                raise ValueError(
-                    f"{path} was trained for the {name} {wanted}, but the environment has {given}."
-                )
+                raise ValueError(f"{path} was trained for the {name} {wanted}, and this one is {given}.")
 
     def act(self, observation: np.ndarray) -> int:
         """The model's action."""
@@ -87,9 +85,7 @@ def _load_model(path: Path) -> Any:
     for algorithm, setting in (("DQN", "exploration_fraction"), ("PPO", "clip_range"), ("A2C", "gae_lambda")):
         if setting in settings:
             return getattr(stable_baselines3, algorithm).load(path, device="cpu")
-    raise ValueError(
-        f"{path} was written by none of DQN, PPO and A2C: use --policy FILE:MAKE for other models."
-    )
+    raise ValueError(f"{path} was written by none of DQN, PPO and A2C: use --policy FILE:MAKE for others.")
 
 
 def foreign_policy(name: str, env: gym.Env[Any, Any]) -> Policy:

@@ -115,7 +115,5 @@ def save(
 
 def _arrays(file: Path) -> dict[str, np.ndarray]:
     if not file.exists():
-        raise FileNotFoundError(
-            f"There is no {file}: python -m experiments.study.replaying.publish DIR writes it."
-        )
+        raise FileNotFoundError(f"no {file}: python -m experiments.study.replaying.publish DIR writes it")
     return load_arrays(file)

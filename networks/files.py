@@ -87,9 +87,7 @@ def check_route(network: Network, name: str, way: Sequence[str], vehicles: str =
     lanes = [lanes_for(network, edge, vehicles) for edge in way]
     for edge, own in zip(way, lanes, strict=True):
         if not own:
-            raise ValueError(
-                f"route {name!r} leads over edge {edge!r}, which {network.road.name} does not have for {drivers}"
-            )
+            raise ValueError(f"route {name!r}: {network.road.name} has no edge {edge!r} for {drivers}")
     for (one, own), (other, after) in pairwise(zip(way, lanes, strict=True)):
         if not any(_onward(network, index) & set(after) for index in own):
             raise ValueError(f"route {name!r}: no connection leads from edge {one!r} to edge {other!r}")

@@ -94,9 +94,7 @@ class Network:
             if start + end in self.routes:
                 return start + end
         choices = ", ".join(key.split(">")[1] for key in self.routes if key.startswith(start))
-        raise ValueError(
-            f"no route from {index} to {destination!r} on {self.road.name}; ends: {choices or 'none'}"
-        )
+        raise ValueError(f"no route from {index} to {destination!r} on {self.road.name}; ends: {choices}")
 
     @cached_property
     def parting(self) -> Mapping[str, frozenset[str]]:
@@ -196,9 +194,7 @@ def network(road: Road | str, **arguments: float) -> Network:
 def _read(road: Road) -> Network:
     net_file = FOLDER / road.net_file
     if not net_file.is_file():
-        raise ValueError(
-            f"there is no SUMO network of the road {road.name!r}{_how(road)}: {net_file} is missing"
-        )
+        raise ValueError(f"the road {road.name!r}{_how(road)} has no SUMO network: {net_file} is missing")
     sumo_lanes = sumo_lanes_of(read_net(net_file))
     lanes = {index: sumo_lanes[_sumo_lane_id(road, index, sumo_lanes)] for index in road.lanes}
     for index, found in lanes.items():

@@ -317,9 +317,7 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
         raise ConfigError("the action must be longitudinal, lateral or both")
     lengthwise, sideways = (axis == BY_SUMO for axis in axes)
     if steers and (lengthwise or sideways):
-        raise ConfigError(
-            "SUMO drives nothing on the replica: 'longitudinal' and 'lateral' are True or False"
-        )
+        raise ConfigError("SUMO drives nothing on the replica: 'longitudinal', 'lateral' are True or False")
     agent = bool(axes[0]) and not lengthwise, bool(axes[1]) and not sideways
     shared: dict[str, Any] = {"by_sumo": (lengthwise, sideways)}
     if kind == "DiscreteMetaAction":
@@ -330,9 +328,7 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
     given |= {name: _rising(f"action {name!r}", action[name], most=2) for name in ranges}
     if not steers:
         if "steering_range" in given or given.get("dynamical"):
-            raise ConfigError(
-                "'steering_range' and 'dynamical' are for replica/*: SUMO moves cars along lanes"
-            )
+            raise ConfigError("'steering_range', 'dynamical' are for replica/*: SUMO's cars keep to lanes")
         given["steering_range"] = -1.0, 1.0
     given |= {"longitudinal": agent[0], "lateral": agent[1], "steers": steers}
     if kind == "ContinuousAction" and any(agent):

@@ -37,9 +37,7 @@ class Grayscale:
         width, height = given["observation_shape"]
         self.shape = given["stack_size"], width, height
         if not all(isinstance(size, int) and 1 <= size <= LARGEST for size in self.shape):
-            raise ConfigError(
-                f"'stack_size' and 'observation_shape' must be 1 to {LARGEST}, not {self.shape}"
-            )
+            raise ConfigError(f"'stack_size', 'observation_shape' must be 1 to {LARGEST}, not {self.shape}")
         scaling, centre = (given[key] or view[key] for key in ("scaling", "centering_position"))
         try:
             view = {"scaling": float(scaling), "centering_position": [float(share) for share in centre]}

@@ -53,9 +53,7 @@ class FleetTask(NetworkTask):
         max_cars: int = 0,
     ) -> None:
         if bool(vehicles) == bool(vehicle_type) or bool(vehicle_type) != (max_cars > 0):
-            raise ConfigError(
-                "learning cars are vehicles=[ids], or vehicle_type='a type' with max_cars=how many"
-            )
+            raise ConfigError("name learning cars by vehicles=[ids], or by vehicle_type= with max_cars=")
         self.ids, self.vehicle_type = tuple(vehicles), vehicle_type
         self.max_cars = max_cars or len(vehicles)
         super().__init__(network, routes, additional=additional)

@@ -50,6 +50,4 @@ def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     for number, action in actions.items():
         if action == name.upper():
             return Constant(number)
-    raise ValueError(
-        f"The policy {name!r} needs the action {name.upper()}; there are {', '.join(actions.values())}."
-    )
+    raise ValueError(f"{name!r} needs the action {name.upper()}; there are {', '.join(actions.values())}.")

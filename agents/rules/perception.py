@@ -53,9 +53,7 @@ class Perception:
         self._columns = {name: column for column, name in enumerate(kind.features)}
         missing = [name for name in ("x", "y", "vx", "vy") if name not in self._columns]
         if missing:
-            raise ValueError(
-                f"Drivers by rules need x, y, vx and vy in the observation: no {', '.join(missing)}."
-            )
+            raise ValueError(f"Drivers by rules observe x, y, vx and vy: there is no {', '.join(missing)}.")
         self._ranges = kind.ranges
         self._absolute = kind.absolute
         self.reset()

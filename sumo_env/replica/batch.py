@@ -87,9 +87,7 @@ def reward_weights(task: Task, config: Config) -> RewardWeights:
         ConfigError: another task.
     """
     if task.name not in PAID:
-        raise ConfigError(
-            f"a compiled batch has no reward of the task {task.name!r}, only of {', '.join(PAID)}"
-        )
+        raise ConfigError(f"batches have no reward of the task {task.name!r}, only of {', '.join(PAID)}")
 
     def weight(key: str) -> float:
         return float(config.get(key, 0.0))

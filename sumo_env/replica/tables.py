@@ -268,9 +268,7 @@ def _write_geometry(record: Any, lane: Lane) -> None:
             record["amplitude"], record["pulsation"] = lane.amplitude, lane.pulsation
             record["phase"] = lane.phase
     else:
-        raise TypeError(
-            f"the replica drives highway-env's roads, which have no {type(lane).__name__}; other networks need SUMO"
-        )
+        raise TypeError(f"the replica drives on no {type(lane).__name__}: other networks need SUMO")
 
 
 @lru_cache(maxsize=1024)

@@ -94,9 +94,7 @@ class FileSimulator(SumoSimulator):
             self._advance()
         if origin.edges and not session.send(name, origin.edges, origin.is_trip, origin.type, origin.speed):
             first, last = origin.edges[0], origin.edges[-1]
-            raise SimulatorError(
-                f"no route leads from edge {first!r} to {last!r} for the type {origin.type!r}"
-            )
+            raise SimulatorError(f"no route leads from edge {first!r} to {last!r} for type {origin.type!r}")
         steps = 0
         while not any(vehicle.name in self._road for vehicle in self._departed):
             if self._departed and not (scenario.further or traffic.car_type):

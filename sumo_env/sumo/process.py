@@ -181,9 +181,7 @@ class SumoProcess:
         self._end()
 
     def __reduce__(self) -> NoReturn:
-        raise TypeError(
-            "SUMO's environments cannot be pickled: copy.deepcopy(env) makes a copy in the same state"
-        )
+        raise TypeError("SUMO's environments cannot be pickled: copy.deepcopy(env) makes a copy")
 
     def _adopt(self, host: _Here | _Worker) -> None:
         self._host = host

@@ -157,9 +157,7 @@ class RouteEgo:
         of = session.vehicle
         self._lane, self.ahead = lane, of.getRoute(self._name)[max(of.getRouteIndex(self._name), 0) :]
         if lane not in self._network.indices:
-            raise ValueError(
-                f"the ego {self._name!r} ({self._class}) is on {lane!r}, no lane for vehicles of roads"
-            )
+            raise ValueError(f"{self._name!r} ({self._class}) is on {lane!r}, no lane for vehicles of roads")
         self._index = self._network.indices[lane]
         self._leads_on, self._may_turn, self._sides = True, True, (None, None)
         self._reaches = 0.0, 0.0

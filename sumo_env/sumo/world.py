@@ -255,9 +255,7 @@ class SumoSimulator:
             if command is None:
                 self._remove(name)
             elif name not in self._cars:
-                raise SimulatorError(
-                    f"the learning car {name!r} is not on the road: did libsumo remove it? Call reset()."
-                )
+                raise SimulatorError(f"the car {name!r} is gone: did libsumo remove it? Call reset().")
         for name, car in self._cars.items():
             car.obey(commands.get(name))
 

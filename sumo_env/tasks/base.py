@@ -225,9 +225,7 @@ class Task:
                 "('simulation_frequency' and 'policy_frequency')"
             )
         if scenario.road != (road := self.road(config)):
-            raise ConfigError(
-                f"options['scenario'] must be on {road!r} of this environment, not on {scenario.road!r}"
-            )
+            raise ConfigError(f"options['scenario'] must be on {road!r}, not on {scenario.road!r}")
 
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: a pure function of its arguments."""

@@ -91,9 +91,7 @@ class Intersection(Task):
         rng: np.random.Generator,
     ) -> list[VehicleSpec]:
         if count > 4:
-            raise ConfigError(
-                f"'controlled_vehicles' of the intersection is at most 4, one on each arm, not {count}"
-            )
+            raise ConfigError(f"'controlled_vehicles' is at most 4, one on each arm, not {count}")
         cars = [self.car(number, config, road, rng) for number in range(1, count)]
         # who comes from its destination takes the first exit of the way back there that highway-env's car drives
         return [*vehicles, *(spec._replace(destination=_exit(road, spec)) for spec in cars)]

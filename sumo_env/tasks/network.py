@@ -230,9 +230,7 @@ class NetworkTask(Task):
         scale = self._scale(config, seed)
         without_effect = not self._drawn and (config["vehicles_count"] or config["spawn_probability"])
         if without_effect and "route-files" in options:
-            warn_once(
-                "'vehicles_count' and 'spawn_probability' have no effect on route files: use 'traffic_scale'"
-            )
+            warn_once("'vehicles_count', 'spawn_probability' have no effect on files: use 'traffic_scale'")
         if self._drawn:
             for key, most in (("vehicles_count", MOST_VEHICLES), ("spawn_probability", 1.0)):
                 config = {**config, key: min(scale * config[key], most)}

@@ -64,9 +64,7 @@ class TwoWay(Task):
         ahead, opposite = int(config["vehicles_count"]), int(config["oncoming_vehicles_count"])
         for count, available in ((ahead, length - 90.0), (opposite, 280.0)):
             if available / max(count - 1, 1) <= MIN_SPACING:
-                raise ConfigError(
-                    f"{count} vehicles do not fit into {available:g} m of road one behind the other"
-                )
+                raise ConfigError(f"{count} vehicles do not fit one behind the other into {available:g} m")
         own = column(rng, ahead, 70.0, 40.0, length - 90.0)
         oncoming = column(rng, opposite, 300.0, -100.0, 280.0)
         vehicles = []

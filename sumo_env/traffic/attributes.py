@@ -56,12 +56,8 @@ def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
     known, models = _known(), _models()
     model = str(attributes.get("carFollowModel", "Krauss"))
     if models and model not in models:
-        raise ValueError(
-            f"SUMO does not have the carFollowModel {model!r} of {name!r}: {nearest(model, models)}"
-        )
+        raise ValueError(f"SUMO has no carFollowModel {model!r}, as {name!r} has: {nearest(model, models)}")
     for attribute in attributes if known else ():
         if attribute not in known:
             instead = did_you_mean(attribute, known) or f"see {PAGE}"
-            raise ValueError(
-                f"SUMO's vehicle types have no attribute {attribute!r}, as {name!r} has: {instead}"
-            )
+            raise ValueError(f"SUMO's types have no attribute {attribute!r}, as {name!r} has: {instead}")

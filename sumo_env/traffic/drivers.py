@@ -122,9 +122,7 @@ class Driver:
         """
         check_attributes(name, attributes)
         for key in sorted(UNCHANGED & attributes.keys()):
-            raise ValueError(
-                f"{key} of {name!r} would have no effect: its VehicleSpec has its id and target_speed"
-            )
+            raise ValueError(f"{key} of {name!r} would have no effect: its VehicleSpec says its speed")
         for key in {"length", "width"} & attributes.keys():
             if not 0.1 <= float(str(attributes[key])) <= LARGEST:
                 raise ValueError(f"{key} of {name!r} must be 0.1 to {LARGEST:g} m, not {attributes[key]}")

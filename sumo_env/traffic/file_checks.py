@@ -119,9 +119,7 @@ def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
     """
     for option, value in outputs:
         if option == "vtk-output":
-            raise ConfigError(
-                f"{option}={value!r} would not go to output_dir: give it among your sumo_options"
-            )
+            raise ConfigError(f"{option}={value!r} would not go to output_dir: take it as a sumo_option")
         if _is_connection(value):
             raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
 

@@ -194,9 +194,7 @@ def temporary_folder() -> str:
     for folder in folders:
         if _is_plain(folder) and os.access(folder, os.W_OK):
             return folder
-    raise ConfigError(
-        f"SUMO needs a folder without commas and ${{...}}: set TMPDIR (tried: {'; '.join(folders)})"
-    )
+    raise ConfigError(f"SUMO takes no folders with a comma or $: set TMPDIR (tried: {'; '.join(folders)})")
 
 
 def own_folder() -> Path:

@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import count, pairwise
+from itertools import count, pairwise, product
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -101,13 +101,8 @@ def check_trip(network: Network, start: str, end: str, vehicles: str = CAR) -> N
     """
     for edge in (start, end):
         check_route(network, f"{start} to {end}", (edge,), vehicles)
-    found, goal = lanes_for(network, start, vehicles), set(lanes_for(network, end, vehicles))
-    seen = set(found)
-    while found and not goal & seen:  # on every road vehicles may change to any lane
-        roads = {after[0].rpartition(":")[0] for index in found for after in _onward(network, index)}
-        found = [index for name in roads for index in lanes_for(network, name, vehicles) if index not in seen]
-        seen.update(found)
-    if not goal & seen:
+    ways = product(*(lanes_for(network, edge, vehicles) for edge in (start, end)))
+    if start != end and not any(network.road.route(first[1], last[0]) for first, last in ways):
         raise ValueError(f"no way leads from edge {start!r} to edge {end!r}")
 
 

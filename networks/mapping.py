@@ -18,7 +18,7 @@ from typing import Any
 
 from sumo_env.networks import plans, roads
 from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane, Point, SineLane
-from sumo_env.networks.meeting import Meeting
+from sumo_env.networks.meeting import Meeting, edge_of
 from sumo_env.networks.roads import LaneIndex, Road
 
 FOLDER = Path(__file__).resolve().parent
@@ -136,7 +136,7 @@ class Network:
         key, lane = self.sumo_route(index, destination), self.lanes[index]
         edges = self.routes[key]
         # Inside the intersection there is no edge: count from the entry, the first edge of the route.
-        edge = 0 if lane.id.startswith(":") else edges.index(_edge(lane.id))
+        edge = 0 if lane.id.startswith(":") else edges.index(edge_of(lane.id))
         first, _ = self.road.lane(index).local_coordinates(*lane.shape[0])
         ahead = _travelled(self.road.lane(index), first, s) + half
         while not 0 <= ahead <= lane.drawn:
@@ -165,7 +165,7 @@ class Network:
         if not 0 <= edge + step < len(edges):
             return None
         wanted = edges[edge + step]
-        return min((joint for joint in near(lane) if _edge(near(joint)[0]) == wanted), default=None)
+        return min((joint for joint in near(lane) if edge_of(near(joint)[0]) == wanted), default=None)
 
 
 def _travelled(lane: Lane, start: float, end: float) -> float:
@@ -174,11 +174,6 @@ def _travelled(lane: Lane, start: float, end: float) -> float:
         return end - start
     points = plans.sample(lane, min(start, end), max(start, end))
     return math.copysign(sum(math.dist(a, b) for a, b in pairwise(points)), end - start)
-
-
-def _edge(lane: str) -> str:
-    """The edge of a SUMO lane."""
-    return lane.rsplit("_", 1)[0]
 
 
 def network(road: Road | str, **arguments: float) -> Network:
@@ -272,7 +267,7 @@ def _sumo_lane_id(road: Road, index: LaneIndex, sumo_lanes: Mapping[str, SumoLan
         lane.id
         for lane in sumo_lanes.values()
         if lane.id.startswith(":")
-        and _edge(lane.preceding[0]).endswith(f"-{start}")
+        and edge_of(lane.preceding[0]).endswith(f"-{start}")
         and lane.following[0].startswith(f"{end}-")
     ]
     if len(inside) != 1:
@@ -282,7 +277,7 @@ def _sumo_lane_id(road: Road, index: LaneIndex, sumo_lanes: Mapping[str, SumoLan
 
 def _routes(road: Road, sumo_lanes: Mapping[str, SumoLane]) -> dict[str, tuple[str, ...]]:
     """See `Network.routes`."""
-    edges = {_edge(lane) for lane in sumo_lanes if not lane.startswith(":")}
+    edges = {edge_of(lane) for lane in sumo_lanes if not lane.startswith(":")}
     pairs = list(dict.fromkeys((start, end) for start, end, _ in road.lanes))
     ends = road.ends
     routes: dict[str, tuple[str, ...]] = {}

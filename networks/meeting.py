@@ -53,7 +53,7 @@ class Meeting:
                 while lane.startswith(":") and lane not in passed:  # a long way is made of several lanes
                     passed.add(lane)
                     before, lane = lane, next(iter(following[lane]), "")
-                    self._inside.setdefault(lane, []).append((before, _edge_of(start)))
+                    self._inside.setdefault(lane, []).append((before, edge_of(start)))
         self._together: dict[tuple[str, str, str], float] = {}  # see `_side_by_side`
         self._edges: dict[str, _Edge] = {}
         # junction -> (a next one, metres between them)
@@ -77,7 +77,7 @@ class Meeting:
         """
         if abs(one.height - other.height) > CLEARANCE + STEEPEST * driven:
             return False
-        first, second = _edge_of(one.lane), _edge_of(other.lane)
+        first, second = edge_of(one.lane), edge_of(other.lane)
         if first not in self._edges or second not in self._edges:
             return True  # off the road, where somebody else has put it
         reach = lengths + driven
@@ -120,7 +120,7 @@ class Meeting:
         if found is None:
             from sumolib.geomhelper import distancePointToPolygon, polyLength, positionAtShapeOffset
 
-            shape, ends, found = self._shapes[one], self._edges[_edge_of(one)], 0.0
+            shape, ends, found = self._shapes[one], self._edges[edge_of(one)], 0.0
             shape = shape if ends.start == junction else shape[::-1]
             drawn = polyLength(shape)
             while ends.length and found < drawn:  # 0 for lanes inside junctions
@@ -165,6 +165,6 @@ class _Edge(NamedTuple):
         return (self.start, position), (self.end, self.length - position)
 
 
-def _edge_of(lane: str) -> str:
+def edge_of(lane: str) -> str:
     """The edge of a lane."""
     return lane.rpartition("_")[0]

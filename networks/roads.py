@@ -97,15 +97,15 @@ class Road:
 
     def route(self, start: str, goal: str) -> tuple[str, ...]:
         """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""
-        queue: deque[tuple[str, ...]] = deque([(start,)])
+        queue, seen = deque([(start,)]), {start}
         while queue:
-            path = queue.popleft()
+            path: tuple[str, ...] = queue.popleft()
             for node in sorted(self.successors.get(path[-1], ())):
-                if node in path:
-                    continue
-                if node == goal:
-                    return (*path, node)
-                queue.append((*path, node))
+                if node not in seen:
+                    seen.add(node)
+                    queue.append((*path, node))
+                    if node == goal:
+                        return queue[-1]
         return ()
 
     def next_lane(

@@ -9,6 +9,7 @@ from math import inf, sqrt
 
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
+from sumo_env.networks.meeting import edge_of
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import NOBODY, RED, YELLOW, Light, Neighbour, Place
 from sumo_env.simulator import EgoCommand
@@ -130,8 +131,8 @@ class RouteEgo:
         self.read_lane()
         if self._signal and self._lane != before and not before.startswith(":"):
             ((signal, connection, distance, _),) = self._signal
-            edge, reached = before.rpartition("_")[0], distance <= self.speed * dt + REACHED
-            if self._lane.rpartition("_")[0] != edge and reached:
+            edge, reached = edge_of(before), distance <= self.speed * dt + REACHED
+            if edge_of(self._lane) != edge and reached:
                 # a sign that lets vehicles turn after a stop does not forbid to drive
                 state = session.sumo.trafficlight.getRedYellowGreenState(signal)
                 self.red_light = self.red_light or state[connection] in "ru"
@@ -219,7 +220,7 @@ class RouteEgo:
 
     def _rest(self, driven: float) -> float:
         """As `_remaining`, of the ego at `driven` [m] of its lane."""
-        edge, (here, *rest) = self._lane.rpartition("_")[0], map(self._edge_length, self.ahead)
+        edge, (here, *rest) = edge_of(self._lane), map(self._edge_length, self.ahead)
         present = 0.0 if edge.startswith(":") else here - driven
         if not edge.startswith(":") and edge != self.ahead[0]:  # on the lane of oncoming traffic
             present = driven

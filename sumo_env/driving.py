@@ -24,6 +24,7 @@ from sumo_env.screen import OnScreen
 from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
 from sumo_env.streams import stream
 from sumo_env.sumo.process import SumoProcess
+from sumo_env.sumo_access import OwnSumo
 from sumo_env.tasks import asked, get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.traffic.scenario import Scenario

@@ -97,9 +97,10 @@ class Road:
 
     def route(self, start: str, goal: str) -> tuple[str, ...]:
         """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""
-        queue, seen = deque([(start,)]), {start}
+        queue: deque[tuple[str, ...]] = deque([(start,)])
+        seen = {start}
         while queue:
-            path: tuple[str, ...] = queue.popleft()
+            path = queue.popleft()
             for node in sorted(self.successors.get(path[-1], ())):
                 if node not in seen:
                     seen.add(node)

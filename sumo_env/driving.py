@@ -121,7 +121,7 @@ class DrivingEnv(OnScreen, OwnSumo):
     def _refuse_backwards(self, what: str, speed: float) -> None:
         """An error if SUMO would have to drive at a negative speed [m/s]."""
         if self._is_on_sumo and speed < 0.0:
-            raise ConfigError(f"{what}: SUMO's vehicles never drive backwards ({speed:g} m/s); replica/* do")
+            raise ConfigError(f"{what}, {speed:g} m/s: SUMO's vehicles never drive backwards; replica/* do")
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 

@@ -115,8 +115,8 @@ def test_no_folder_holds_a_circle() -> None:
 def test_neither_the_simulator_nor_an_agent_names_a_task(package: str) -> None:
     """What they have to know of a task travels in the scenario, or is a property of the road or the space."""
     tasks = set(TASKS)
-    assert [way for way in WITHIN if way[0].startswith(package) and "sumo_env.tasks" in way[1]] == []
-    for path in (path for name, path in FILES.items() if name.startswith(package)):
+    assert [way for way in WITHIN if way[0].startswith(f"{package}.") and "sumo_env.tasks" in way[1]] == []
+    for path in (path for name, path in FILES.items() if name.startswith(f"{package}.")):
         constants = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
         assert not [node.lineno for node in constants if node.value in tasks], path
 

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from sumo_env.tasks.base import Task as Task
 
 _HERE = Path(__file__).parent
-if not (
-    _HERE / "networks"
-).is_dir():  # a clone without symbolic links: the folder networks is beside this package
+# a clone without symbolic links: the folder networks is beside this package
+if not (_HERE / "networks").is_dir():
     __path__.append(str(_HERE.parent))
 
 from sumo_env.hints import NOT_HERE  # noqa: E402  (below the path of sumo_env.networks)

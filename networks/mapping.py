@@ -101,18 +101,18 @@ class Network:
         """SUMO's lanes that lead on to fewer edges than the lanes beside them, with these edges."""
         joints = {lane.id: lane.following for lane in self.lanes.values() if not lane.id.startswith(":")}
         leads = {
-            name: frozenset(_edge(self.sumo_lanes[joint].following[0]) for joint in following)
+            name: frozenset(edge_of(self.sumo_lanes[joint].following[0]) for joint in following)
             for name, following in joints.items()
         }
         whole: dict[str, frozenset[str]] = {}
         for name, edges in leads.items():
-            whole[_edge(name)] = whole.get(_edge(name), frozenset()) | edges
-        return {name: edges for name, edges in leads.items() if edges and edges != whole[_edge(name)]}
+            whole[edge_of(name)] = whole.get(edge_of(name), frozenset()) | edges
+        return {name: edges for name, edges in leads.items() if edges and edges != whole[edge_of(name)]}
 
     def leading_on(self, key: str, lane: str) -> str:
         """The key of a route that a SUMO lane leads along: `key`, or where lanes part that of another end."""
         for other in (key, *self.routes) if lane in self.parting else ():
-            edges, edge = self.routes[other], _edge(lane)
+            edges, edge = self.routes[other], edge_of(lane)
             if edge in edges[:-1] and edges[edges.index(edge) + 1] in self.parting[lane]:
                 return other
         return key

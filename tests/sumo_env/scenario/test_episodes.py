@@ -23,7 +23,7 @@ from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.files import written
 from tests.sumo_env.scenario.test_oracle import fronts
 
-pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*(its outputs are off|several environments)")]
+pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*(outputs are off|several environments)")]
 _, IDLE, _, FASTER, SLOWER = range(5)
 WAY = ["A0A1", "A1B1", "B1C1", "C1C2"]
 

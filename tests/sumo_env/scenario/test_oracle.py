@@ -17,7 +17,7 @@ from sumo_env.simulator import EgoCommand
 from tests.sumo_env.plans import SUMO, Rows, floating_car_data, needs_sumo
 from tests.sumo_env.scenario.files import SCENARIOS, written
 
-pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*its outputs are off")]
+pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*outputs are off")]
 SECONDS = 300
 NOTHING = EgoCommand(None, None)
 

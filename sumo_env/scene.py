@@ -117,11 +117,13 @@ class NearEvents(NamedTuple):
     Attributes:
         events: that have come.
         expected_events: mean number of these at factor 1, given who was near.
+        other_events: of all other vehicles, those to come included.
         log_weight: logarithm of the likelihood at factor 1 over that of what has happened.
     """
 
     events: int
     expected_events: float
+    other_events: int
     log_weight: float
 
 

@@ -25,7 +25,7 @@ class Tilted:
         self._risky: set[str] = set()  # vehicles whose events are known
         self._coming: list[RiskEvent] = []  # not yet counted, the latest first
         self._since, self._near, self._before = -inf, frozenset[str](), frozenset[str]()
-        self._events, self._expected = 0, 0.0
+        self._events, self._others, self._expected = 0, 0, 0.0
 
     def plan(self, vehicles: Iterable[str], events: Iterable[RiskEvent]) -> None:
         """Vehicles have come or will come, and these are all their events."""
@@ -42,12 +42,15 @@ class Tilted:
     def count(self, scene: Scene) -> NearEvents:
         """Count up to the end of a policy step, or to the start of the episode; then look who is near."""
         while self._coming and self._coming[-1].time <= scene.time:
-            self._events += self._coming.pop().vehicle in self._near
+            event = self._coming.pop()
+            self._events += event.vehicle in self._near
+            self._others += event.vehicle not in self._near and not event.is_further
         end = self._tilt.duration
         lasted = min(scene.time, end) - min(self._since, end) if self._near else 0.0
         self._expected += self._tilt.rate * len(self._near) * lasted
         self._since, self._before, self._near = scene.time, self._near, self._look(scene)
-        return NearEvents(self._events, self._expected, self._tilt.log_weight(self._events, self._expected))
+        weight = self._tilt.log_weight(self._events, self._expected)
+        return NearEvents(self._events, self._expected, self._others, weight)
 
     def _look(self, scene: Scene) -> frozenset[str]:
         """Vehicles within reach of a learning car, which may have events."""

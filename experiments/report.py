@@ -36,7 +36,6 @@ from experiments.analysis.effects import WORKING_COLUMNS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.reporting.page import page, render
 from experiments.study.compute.evaluate import COLUMNS
-from experiments.study.results import frozen
 from experiments.study.results.store import Store, load
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, in_words, writing
@@ -70,11 +69,6 @@ def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
         UserError: no results there, those of a frozen study, or no permission to write.
     """
     directory = Path(directory)
-    for folder in (directory, *map(Path, others)):
-        if (folder / frozen.CELLS).exists():
-            raise UserError(
-                f"{folder} is of an earlier version: results/FROZEN.md names the commit that writes its report"
-            )
     results = load(directory)
     analysis = analyse(results, own)
     beside = {str(other): analyse(load(other)) for other in others}
@@ -109,11 +103,7 @@ def own_outcome(name: str) -> tuple[str, Outcome]:
 
 def own_values(name: str, of: Callable[[pd.DataFrame], Any], episodes: pd.DataFrame) -> Any:
     """What a user's function makes of the episodes. Raises UserError unless it is one finite number for each."""
-    try:
-        values = np.asarray(of(episodes), dtype=float)
-    except Exception as error:
-        why = f"{type(error).__name__}: {error}".partition("\n")[0]
-        raise UserError(f"the outcome {name} cannot be computed: {why}") from error
+    values = np.asarray(of(episodes), dtype=float)
     if values.shape != (len(episodes),):
         raise UserError(
             f"the outcome {name} has the shape {values.shape}, not a number for each of {len(episodes)}"

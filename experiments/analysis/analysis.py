@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,12 +65,12 @@ class Analysis:
     plan_hash: str
     notes: dict[str, Any]
     provenance: dict[str, Any]
-    primary: pd.DataFrame = field(default_factory=pd.DataFrame)
-    price: pd.DataFrame = field(default_factory=pd.DataFrame)
-    learner: pd.DataFrame = field(default_factory=pd.DataFrame)
-    frontier: pd.DataFrame = field(default_factory=pd.DataFrame)
-    by_task: pd.DataFrame = field(default_factory=pd.DataFrame)
-    influence: pd.DataFrame = field(default_factory=pd.DataFrame)
+    primary: pd.DataFrame
+    price: pd.DataFrame
+    learner: pd.DataFrame
+    frontier: pd.DataFrame
+    by_task: pd.DataFrame
+    influence: pd.DataFrame
 
 
 def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analysis:
@@ -258,20 +256,3 @@ def _strict(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.12g}") if math.isfinite(value) else None
     return None if value is pd.NA else value
-
-
-def stored(path: Path) -> Analysis:
-    """The analysis in an analysis.json.
-
-    Frames that an earlier version did not have are empty, and those that this one does not have are left out.
-    """
-    value = json.loads(path.read_text())
-    del value["schema"]
-    frames = {
-        name: pd.DataFrame(part["rows"], columns=part["columns"])
-        if isinstance(part, dict) and part.keys() == {"columns", "rows"}
-        else part
-        for name, part in value.items()
-    }
-    known = {part.name for part in fields(Analysis)}
-    return Analysis(**{name: part for name, part in frames.items() if name in known})

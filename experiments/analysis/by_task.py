@@ -6,16 +6,12 @@ without each task in turn, because one task can make it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
-
 import pandas as pd
 
-from experiments.analysis import estimate
-from experiments.analysis.effects import COMPARISON, ESTIMATE, MEANS, means
+from experiments.analysis.effects import COMPARISON, ESTIMATE, MEANS, contrasts, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Outcome, Plan
-from experiments.analysis.scores import SETTING, in_order, once_each
+from experiments.analysis.scores import SETTING, arms_of
 from experiments.study.design.arms import ARMS
 
 HARD = 10.0  # closing speed from which a crash is hard [m/s]
@@ -62,41 +58,18 @@ def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     rows = episodes[episodes["arm"].isin(ARMS)]
     agents = rows[rows["kind"] == "agent"]
     tests = rows[rows["kind"] == "test"].merge(agents[[*SETTING, "arm", "seed"]].drop_duplicates())
-    effects = pd.DataFrame(_effects(pd.concat([agents, tests])))
-    if effects.empty:
-        return pd.DataFrame(columns=ROW)
     found = []
-    for simulator, here in effects.groupby("tested_on", sort=False):
-        poolable = here[here["outcome"].isin([name for name, one in COLUMNS.items() if one.poolable])]
-        both = [means(here, plan, outcomes=COLUMNS), means(poolable, plan, True, COLUMNS)]
+    for simulator, here in pd.concat([agents, tests]).groupby("tested_on", sort=False):
+        effects = pd.concat([_effects(own, str(name)) for name, own in here.groupby("traffic", sort=False)])
+        poolable = effects[effects["outcome"].isin([name for name, one in COLUMNS.items() if one.poolable])]
+        both = [means(effects, plan, outcomes=COLUMNS), means(poolable, plan, True, COLUMNS)]
         found += [frame.assign(tested_on=simulator) for frame in both]
+    if not found:
+        return pd.DataFrame(columns=ROW)
     return pd.concat(found, ignore_index=True).rename(columns={"term": "traffic"})[ROW]
 
 
-def _effects(rows: pd.DataFrame) -> Iterator[dict[str, Any]]:
-    """Of every setting, simulator and traffic of the tests the rows that `effects.means` averages."""
-    place = [*SETTING, "tested_on", "traffic"]
-    rows = in_order(rows, "backend", "task", "level", "seed", "scenario")
-    for names, group in rows.groupby(place, sort=False):
-        arms = {str(arm): own for arm, own in once_each(group).groupby("arm", sort=False)}
-        if len(arms) < len(ARMS):
-            continue
-        label = {**dict(zip(place, names, strict=True)), "arm": "treatment", "against": "control"}
-        label["term"] = label.pop("traffic")
-        for outcome, kind in COLUMNS.items():
-            if group[outcome].notna().all():
-                both = [arms[name] for name in ("treatment", "control")]
-                yield {**label, "outcome": outcome, **_contrast(both, outcome, kind.percent)}
-
-
-def _contrast(both: Sequence[pd.DataFrame], outcome: str, floored: bool) -> dict[str, Any]:
-    """One arm minus the other on the same scenarios: a `Mean`, and MEANS.
-
-    Args:
-        both: their episodes, sorted by seed and scenario. floored: of a share of episodes, which has a least variance.
-    """
-    tables = [own[outcome].to_numpy(dtype=float).reshape(own["seed"].nunique(), -1) for own in both]
-    floor = sum(estimate.binomial_floor([table]) for table in tables) if floored else 0.0
-    found = estimate.linear([(tables[0], 1.0), (tables[1], -1.0)], floor)
-    values = [*(float(table.mean()) for table in tables), *map(len, tables)]
-    return {**found._asdict(), **dict(zip(MEANS, values, strict=True))}
+def _effects(rows: pd.DataFrame, traffic: str) -> pd.DataFrame:
+    """Treatment minus control in all COLUMNS, in every setting and in this traffic, which all rows are of."""
+    asked = {("treatment", "control"): [(outcome, traffic) for outcome in COLUMNS]}
+    return contrasts(arms_of(rows, COLUMNS, (traffic,)), asked, terms={traffic: (1.0,)})

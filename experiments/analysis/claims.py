@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -128,13 +127,6 @@ def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     rows = rows.assign(low=low, high=high, verdict=verdict, detectable=enough, slow=slow)
     order = ["backend", "scope", "settings", "estimate", *columns, "low", "high", "verdict", "detectable"]
     return rows[[*order, *BESIDE, "slow"]]
-
-
-def all_hold(verdicts: Collection[str]) -> str:
-    """The verdict on something that is true where all of its parts are."""
-    if CONTRADICTED in verdicts:
-        return CONTRADICTED
-    return HOLDS if verdicts and set(verdicts) == {HOLDS} else NOT_DECIDED
 
 
 def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan) -> dict[str, object]:

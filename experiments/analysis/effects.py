@@ -12,11 +12,12 @@ status ("ok", or why there is no interval, see `estimate`). Further means are ma
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate
@@ -31,7 +32,9 @@ COMPARISON = ["backend", "arm", "against"]
 QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
 MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
+SHARES = ("crashed", "hard_crash", "entered")  # of episodes, so that their means have a least variance
 WORKING_COLUMNS = ["variance", "dof", "smallest"]
+WEIGHTS = {term: [own.get(traffic, 0.0) for traffic in TRAFFICS] for term, own in TERMS.items()}
 TYPES = {
     **dict.fromkeys(("estimate", "mean_arm", "mean_against", "variance", "dof"), "float64"),
     **dict.fromkeys(("level", "seeds_arm", "seeds_against", "smallest"), "int64"),
@@ -42,14 +45,15 @@ def contrasts(
     arms: Mapping[Setting, Arms],
     asked: Mapping[tuple[str, str], Iterable[tuple[str, str]]],
     signs: tuple[float, float] = (1.0, -1.0),
+    terms: Mapping[str, Sequence[float]] = WEIGHTS,
 ) -> pd.DataFrame:
     """Effects: one arm minus another, or minus a policy that has no training, in every setting that has both.
 
     Of a pair the difference is taken within each training seed, since it shares its agents with the arm.
 
     Args:
-        arms: from `scores.arms_of`. asked: (outcome, term) by (arm, against).
-        signs: of the two arms in the sum.
+        arms: from `scores.arms_of`. asked: (outcome, term) by (arm, against); outcomes that a setting does not have
+            are left out. signs: of the two arms in the sum. terms: weights of the arms' traffics.
 
     Returns:
         A row an effect: KEY, ESTIMATE, mean_arm and mean_against, seeds_arm and seeds_against, and WORKING_COLUMNS.
@@ -57,11 +61,12 @@ def contrasts(
     rows = [
         dict(zip(SETTING, setting, strict=True))
         | {"arm": arm, "against": against, "outcome": outcome, "term": term}
-        | _contrast(by_name, arm, against, outcome, term, signs)
+        | _contrast(by_name, arm, against, outcome, np.array(terms[term]), signs)
         for setting, by_name in arms.items()
         for (arm, against), questions in asked.items()
         if {arm, against} <= by_name.keys()
         for outcome, term in questions
+        if outcome in by_name[arm]
     ]
     columns = [*KEY, "estimate", *MEANS, *WORKING_COLUMNS, "saturated"]
     frame = pd.DataFrame(rows, columns=columns).astype(
@@ -73,20 +78,24 @@ def contrasts(
 
 
 def _contrast(
-    arms: Arms, arm: str, against: str, outcome: str, term: str, signs: tuple[float, float]
+    arms: Arms,
+    arm: str,
+    against: str,
+    outcome: str,
+    weights: NDArray[np.float64],
+    signs: tuple[float, float],
 ) -> dict[str, Any]:
     """The `Mean` and MEANS of an arm minus another, or scenario by scenario minus a policy that is not trained."""
-    weights = np.array([TERMS[term].get(traffic, 0.0) for traffic in TRAFFICS])
     both = arms[arm][outcome], arms[against][outcome]
     scores = [np.tensordot(weights, tables, axes=1) for tables in both]
     tested = [tables[weights != 0] for tables in both]
-    crashes = against in (*EVERY_ARM, *PAIRS) and outcome == "crashed"
+    floored = against in (*EVERY_ARM, *PAIRS) and outcome in SHARES
     floors = [sign**2 * estimate.binomial_floor(table) for table, sign in zip(tested, signs, strict=True)]
     apart = against in EVERY_ARM and arm not in PAIRS
     weighted = list(zip(scores, signs, strict=True)) if apart else [(scores[0] - scores[1], 1.0)]
-    found = estimate.linear(weighted, sum(floors) if crashes else 0.0)
+    found = estimate.linear(weighted, sum(floors) if floored else 0.0)
     means = [*(float(table.mean()) for table in scores), *map(len, scores)]
-    saturated = crashes and all((tables == 1).all() for tables in tested)
+    saturated = floored and all((tables == 1).all() for tables in tested)
     return {**found._asdict(), **dict(zip(MEANS, means, strict=True)), "saturated": saturated}
 
 

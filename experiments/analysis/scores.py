@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,28 +71,32 @@ def once_each(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 Setting = tuple[str, str, int, str]  # backend, task, level, level_name
-# The agents of an arm in a setting: of each outcome an array (traffic in the order of TRAFFICS, agent, scenario).
+# The agents of an arm in a setting: of each outcome an array (traffic, agent, scenario).
 Arm = Mapping[str, NDArray[np.float64]]
 Arms = Mapping[str, Arm]  # by name
 
 
 def arms_of(
-    episodes: pd.DataFrame, outcomes: Iterable[str] = tuple(OUTCOMES)
+    episodes: pd.DataFrame, outcomes: Iterable[str] = tuple(OUTCOMES), traffics: Sequence[str] = TRAFFICS
 ) -> dict[Setting, dict[str, Arm]]:
     """The scores of all outcomes by setting and arm, in the grid's order.
 
     Args:
         episodes: as from `with_outcomes`, of agents that all met the same scenarios; the arm's name is in "arm".
+        outcomes: those that a setting does not have (NaN) are left out. traffics: of the arrays, in the grid's order.
 
     Raises:
         ValueError: an agent has an episode twice.
     """
-    rows = once_each(episodes[episodes["traffic"].isin(list(TRAFFICS))])
+    rows = once_each(episodes[episodes["traffic"].isin(list(traffics))])
     rows = in_order(rows, "backend", "task", "level", "arm", "traffic", "seed", "scenario")
     there = [name for name in outcomes if name in rows]
     result: dict[Setting, dict[str, Arm]] = {}
     for (*setting, arm), group in rows.groupby([*SETTING, "arm"], sort=False):
-        shape = (len(TRAFFICS), group["seed"].nunique(), -1)
-        values = {name: group[name].to_numpy(dtype=np.float64).reshape(shape) for name in there}
+        shape = (len(traffics), group["seed"].nunique(), -1)
+        known = group[there].notna().all()
+        values = {
+            name: group[name].to_numpy(dtype=np.float64).reshape(shape) for name in there if known[name]
+        }
         result.setdefault((setting[0], setting[1], setting[2], setting[3]), {})[str(arm)] = values
     return result

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
@@ -37,26 +37,15 @@ def places(analysis: Analysis, backend: str) -> dict[tuple[str, str], str]:
     return {place: words for place, words in known.items() if place in there}
 
 
-def differs(row: Mapping[str, Any]) -> bool:
-    """Whether an interval excludes 0."""
-    return bool(row["low"] > 0 or row["high"] < 0)
-
-
-def both_arms(row: Mapping[str, Any], between: str = "\n") -> str:
+def both_arms(row: Mapping[str, Any]) -> str:
     """Control, the arm and their difference with its interval: "38.4 → 34.2", and below it "−4.2 [−7.2, −1.1]"."""
     levels = " → ".join(
         points(row[side], row["outcome"], signed=False) for side in ("mean_against", "mean_arm")
     )
-    return levels + between + effect(row, row["outcome"])
+    return f"{levels}\n{effect(row, row['outcome'])}"
 
 
-def by_task(
-    analysis: Analysis,
-    backend: str,
-    away: bool = False,
-    columns: Sequence[str] = tuple(COLUMNS),
-    between: str = "\n",
-) -> pd.DataFrame:
+def by_task(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFrame:
     """Every task in both traffics, one below the other, in all columns.
 
     Args:
@@ -70,8 +59,8 @@ def by_task(
         for simulator, traffic in asked:
             values = chosen(own, tested_on=simulator, traffic=traffic).set_index("outcome", drop=False)
             cells = {
-                TITLES[name]: both_arms(values.loc[name], between) if name in values.index else NONE
-                for name in columns
+                TITLES[name]: both_arms(values.loc[name]) if name in values.index else NONE
+                for name in COLUMNS
             }
             words = where[simulator, traffic].removesuffix(" traffic")
             short = words if simulator == backend else f"{traffic}, {simulator}"
@@ -107,7 +96,8 @@ def sides(analysis: Analysis, backend: str, outcome: str, place: tuple[str, str]
     rows = chosen(analysis.by_task, backend=backend, scope=list(TASK_ORDER), outcome=outcome)
     rows = chosen(rows, tested_on=place[0], traffic=place[1])
     for row in rows.to_dict("records"):
-        found["open" if not differs(row) else "less" if row["high"] < 0 else "more"].append(row["scope"])
+        side = "less" if row["high"] < 0 else "more" if row["low"] > 0 else "open"
+        found[side].append(row["scope"])
     return found
 
 

@@ -117,10 +117,9 @@ def mean(
     term: str,
     arm: str = "treatment",
     against: str = "control",
-    scope: str = ALL_TASKS,
 ) -> dict[str, Any]:
-    """A row of the analysis' means, or nothing."""
-    rows = chosen(main(analysis.means, backend, arm, against), outcome=outcome, term=term, scope=scope)
+    """A row of the analysis' means over all tasks, or nothing."""
+    rows = chosen(main(analysis.means, backend, arm, against), outcome=outcome, term=term, scope=ALL_TASKS)
     return dict(rows.iloc[0]) if len(rows) else {}
 
 

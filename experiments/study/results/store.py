@@ -336,10 +336,14 @@ def load(directory: Path) -> Results:
     """Read and check all finished cells of a directory; damaged ones are named in `Results.damaged`.
 
     Raises:
-        UserError: no result directory, no finished cell in it that can be read, or a damaged part.
+        UserError: no result directory, no finished cell in it that can be read, a damaged part, or a frozen study.
     """
     store = Store(Path(directory))
     store.check()
+    if (store.directory / frozen.CELLS).exists():
+        raise UserError(
+            f"{directory} is of an earlier version: results/FROZEN.md names the commit of its report"
+        )
     cells: dict[str, dict[str, Any]] = {}
     found: dict[str, dict[str, pd.DataFrame]] = {}
     damaged: dict[str, str] = {}
@@ -382,8 +386,5 @@ def _concatenate(tables: Mapping[str, pd.DataFrame], keys: pd.DataFrame) -> pd.D
     if not tables:
         return keys.iloc[:0].reset_index(drop=True)
     cells = [name for name, table in tables.items() for _ in range(len(table))]
-    rows = pd.concat(tables.values(), ignore_index=True)
-    rows = rows[[name for name in COLUMNS if name in rows]]
-    if "actions" in rows:  # cells of earlier versions lack them
-        rows["actions"] = rows["actions"].astype("str")
+    rows = pd.concat(tables.values(), ignore_index=True)[list(COLUMNS)]
     return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)

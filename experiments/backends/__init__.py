@@ -7,8 +7,7 @@ libsumo.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -28,12 +27,11 @@ REPLICA = {"scenarios": "seeded", "variant": "path", "risk_law": "standard"}
 
 
 def has(backend: str, task: str) -> bool:
-    """Whether a backend has a task. UserError for an unknown backend, or one that is not installed."""
+    """Whether a backend has a task. UserError for an unknown backend, ImportError for one that is not installed."""
     if backend not in BACKENDS:
         raise unknown("backend", backend, BACKENDS)
     module, _, id = IDS[backend].format(task).partition(":")
-    with _installed(backend):
-        importlib.import_module(module)
+    importlib.import_module(module)
     return id in gym.registry
 
 
@@ -58,29 +56,14 @@ def make_env(
         render_mode: None or "rgb_array".
 
     Raises:
-        UserError: unknown backend or task, the backend lacks the task, or the simulator is not installed.
+        UserError: unknown backend or task, or the backend lacks the task. ImportError: it is not installed.
     """
     require(backend, task)
     settings, fixed = dict(config or {}), {}
     if backend == "replica":  # what is fixed for an environment's life is in the study's configuration
         fixed = {name: settings.pop(name, default) for name, default in REPLICA.items()}
-    with _installed(backend):
-        # by its specification: an id would warn that highway-env has a later version, and the variant says which
-        id: Any = IDS[backend].format(task)
-        if backend == "replica":
-            id = gym.spec(id.partition(":")[2])
-        return gym.make(id, config=settings, render_mode=render_mode, **fixed)
-
-
-@contextmanager
-def _installed(backend: str) -> Iterator[None]:
-    """Say in one line that the package of a simulator is missing."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        name = getattr(error.__cause__ or error, "name", None)  # gymnasium's own error has none
-        if name in ("libsumo", "highway_env", "numba"):
-            raise UserError(
-                f"{backend} needs the package {name}, which is not installed: run make setup"
-            ) from None
-        raise
+    # by its specification: an id would warn that highway-env has a later version, and the variant says which
+    id: Any = IDS[backend].format(task)
+    if backend == "replica":
+        id = gym.spec(id.partition(":")[2])
+    return gym.make(id, config=settings, render_mode=render_mode, **fixed)

@@ -101,6 +101,9 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     except (UserError, DamagedFile) as error:
         print(f"error: {error}", file=sys.stderr)
         status = USAGE
+    except ModuleNotFoundError as error:
+        print(f"error: {error}: install it (make setup)", file=sys.stderr)
+        status = USAGE
     except KeyboardInterrupt:
         say()
         status = INTERRUPTED

@@ -7,7 +7,7 @@ task and traffic level, and each arm and kind of test there, one group is analys
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -55,15 +55,12 @@ def _of_other_groups(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict
         return dict.fromkeys(cells, ALONE)
     reference, found = _latest(agents or main, groups, expected), {}
     for name, own in groups.items():
-        if name in agents:
-            found[name] = _differing(own, reference)
-        elif name in main:
-            # packages of the learner alone are nothing to a baseline
-            asked = {
-                n: value for n, value in reference.items() if n in own or not n.startswith("version of ")
-            }
-            asked = {n: value for n, value in asked.items() if n.startswith(ENVIRONMENT)}
-            found[name] = _differing({n: own[n] for n in own if n.startswith(ENVIRONMENT)}, asked)
+        if name in main:
+            shared = {*own, *reference}
+            if name not in agents:  # packages of the learner alone are nothing to a baseline
+                shared -= {n for n in reference if n.startswith("version of ") and n not in own}
+                shared = {n for n in shared if n.startswith(ENVIRONMENT)}
+            found[name] = _differing(own, reference, shared)
         elif not agents or not reference.items() <= own.items():
             found[name] = ALONE
     places: dict[tuple[Any, ...], list[str]] = {}
@@ -71,7 +68,7 @@ def _of_other_groups(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict
         places.setdefault(_place(cells[name]["key"]), []).append(name)
     for names in places.values():
         best = _latest(names, groups, expected)
-        found |= {name: _differing(groups[name], best) for name in names}
+        found |= {name: _differing(groups[name], best, {*groups[name], *best}) for name in names}
     return {name: reason for name, reason in found.items() if reason}
 
 
@@ -93,9 +90,9 @@ def _latest(
     return groups[best[1][0]]
 
 
-def _differing(own: Mapping[str, Any], reference: Mapping[str, Any]) -> str:
-    """In what a group differs from another; empty if it does not."""
-    pairs = [(name, own.get(name), reference.get(name)) for name in sorted({*own, *reference})]
+def _differing(own: Mapping[str, Any], reference: Mapping[str, Any], names: Collection[str]) -> str:
+    """In what a group differs from another, among the entries of these names; empty if it does not."""
+    pairs = [(name, own.get(name), reference.get(name)) for name in sorted(names)]
     return ", ".join(
         [f"{name} {mine} instead of {theirs}" for name, mine, theirs in pairs if mine != theirs][:3]
     )

@@ -22,7 +22,7 @@ from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.grid import LEARNER, tested_on
 from experiments.study.results.store import EPISODES, Store
-from experiments.support.errors import UserError, run_command
+from experiments.support.errors import run_command
 from sumo_env.tasks import TASKS
 
 
@@ -77,13 +77,10 @@ def main(
         every: the agents of all training seeds, as ARM-sSEED, with their weights in half precision.
     """
     out = out or (directory / pretrained.FILE.name if every else pretrained.FILE)
-    if not out.parent.is_dir():
-        raise UserError(f"there is no folder {out.parent}: make it, or choose another file with --out")
     agents: dict[str, tuple[dict[str, Any], Greedy]] = {}
     if out.exists():
         for label, about in pretrained.cards(out).items():
             setting, arm = label.split("/")
-            about.pop("precision", None)  # of earlier versions, which rounded some weights
             agents[label] = about, pretrained.load(setting, arm, out)
     store = Store(directory)
     commands = {name: sweep["command"] for sweep in store.sweeps() for name in sweep["cells"]}

@@ -1,4 +1,4 @@
-"""Two markers of tests: of every task that there is, and of the tasks that the study publishes numbers of."""
+"""Markers of tests: of every task, of those that highway-env has, and of those that the study publishes numbers of."""
 
 from __future__ import annotations
 
@@ -8,5 +8,9 @@ from experiments.study.design.sheet import GRID
 from sumo_env.tasks import TASKS
 
 PUBLISHED = tuple(GRID)
+OF_HIGHWAY_ENV = tuple(
+    name for name, task in TASKS.items() if task.reference
+)  # the replica has its own draws of them
 every_task = pytest.mark.parametrize("task", tuple(TASKS))
+highway_env_task = pytest.mark.parametrize("task", OF_HIGHWAY_ENV)
 published_task = pytest.mark.parametrize("task", PUBLISHED)

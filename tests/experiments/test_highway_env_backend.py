@@ -16,9 +16,8 @@ from experiments.backends import make_env
 from experiments.backends.highway_env import ScenarioEnv
 from experiments.backends.highway_env_vehicle import PathVehicle, distance_beyond
 from sumo_env.config import ConfigError
-from sumo_env.tasks import TASKS
 from sumo_env.traffic.risk import RiskEvent
-from tests.tasks import every_task
+from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
 
 SMALL: dict[str, Any] = {"vehicles_count": 12}
 BASE_ATTRIBUTES = ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "ACC_MAX")
@@ -34,7 +33,7 @@ def make(task: str, **config: Any) -> ScenarioEnv:
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
-@every_task
+@highway_env_task
 def test_a_seed_is_the_same_scenario_with_the_same_interface_in_both_simulators(
     task: str, risk: float
 ) -> None:
@@ -60,7 +59,7 @@ def test_a_seed_is_the_same_scenario_with_the_same_interface_in_both_simulators(
 
 def test_no_task_changes_the_class_of_the_drivers() -> None:
     before = {name: getattr(IDMVehicle, name) for name in BASE_ATTRIBUTES}
-    for task in TASKS:
+    for task in OF_HIGHWAY_ENV:
         env = make(task, risk=1.0)
         env.reset(seed=0)
         env.step(1)
@@ -81,7 +80,7 @@ def stock_copy(env: ScenarioEnv) -> Any:
 
 
 @pytest.mark.parametrize("variant", ["v0", "connected"])
-@every_task
+@highway_env_task
 def test_regular_traffic_moves_as_in_stock_highway_env(task: str, variant: str) -> None:
     chosen = {"spawn_probability": 0.0} if task == "intersection" else {}
     env = make(task, variant=variant, **chosen)

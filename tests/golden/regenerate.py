@@ -1,7 +1,7 @@
 """Write the golden results anew, then review the difference: see README.md in this folder.
 
 python tests/golden/regenerate.py                     # everything, half a minute
-python tests/golden/regenerate.py outcomes            # some of: scenes outcomes
+python tests/golden/regenerate.py outcomes merge      # some parts (scenes, outcomes), some tasks
 """
 
 from __future__ import annotations
@@ -46,12 +46,13 @@ def read(name: str) -> Any:
     return json.loads((FOLDER / name).read_text())
 
 
-def main(parts: list[str]) -> None:
-    """Write the files of some parts; of all tasks' by default."""
-    if unknown := set(parts) - {*PARTS}:
-        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
-    for part in parts or PARTS:
-        for task in TASKS:
+def main(names: list[str]) -> None:
+    """Write the files of some parts and some tasks; of all by default."""
+    if unknown := set(names) - {*PARTS, *TASKS}:
+        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join([*PARTS, *TASKS])}")
+    parts, tasks = ([name for name in names if name in known] or known for known in (PARTS, TASKS))
+    for part in parts:
+        for task in tasks:
             (FOLDER / part / f"{task}.json").write_text(pretty(PARTS[part](task)) + "\n")
             print(f"{part}/{task}.json", flush=True)
 

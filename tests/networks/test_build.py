@@ -10,14 +10,6 @@ import pytest
 
 from sumo_env.networks import build, mapping, plans
 
-SPEEDS = {
-    "highway": 30.0,
-    "two-way": 20.0,
-    "roundabout": 20.0,
-    "intersection": 10.0,
-    "u-turn": 20.0,
-    "merge": 20.0,
-}
 PLANS = list(plans.all_plans())
 needs_netconvert = pytest.mark.skipif(find_spec("sumo") is None, reason="netconvert comes with eclipse-sumo")
 
@@ -45,7 +37,8 @@ def test_what_the_simulation_relies_on_is_there(plan):
     root = ElementTree.parse(build.HERE / f"{plan.name}.net.xml").getroot()
     lanes, ways = (list(root.iter(tag)) for tag in ("lane", "connection"))
     ways = [way for way in ways if not way.get("from").startswith(":")]
-    assert {float(lane.get("speed")) for lane in lanes} == {SPEEDS[plan.road.name]}  # in bends as well
+    limits = {lane.speed_limit for lane in plan.road.lanes.values()}  # highway-env's, see test_roads.py
+    assert {float(lane.get("speed")) for lane in lanes} == limits  # in bends as well
     # otherwise SUMO's drivers slow down before minor connections until they are 4.5 m from them, in order to see
     assert [float(way.get("visibility")) for way in ways] == [200.0] * len(plan.connections)
     # lane changes are left to the drivers, but for those to lanes that nobody may change to

@@ -20,15 +20,15 @@ from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv, HighwayEnvFast, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.tasks import TASKS
-from tests.tasks import every_task
+from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
 
-CLASSES = tuple(getattr(sumo_env.envs, task.reference) for task in TASKS.values())
+CLASSES = tuple(getattr(sumo_env.envs, TASKS[task].reference) for task in OF_HIGHWAY_ENV)
 
 
 # -- keys ----------------------------------------------------------------------------------------------------
 
 
-@every_task
+@highway_env_task
 def test_highway_env_ignores_what_is_ignored_here(task: str) -> None:
     """Its episode is the same with any values of these keys."""
     keys = IGNORED - TASKS[task].defaults.keys()
@@ -140,7 +140,7 @@ class ByTheInstance(UTurnEnv):
 
 
 def test_default_config_is_a_class_method_or_a_method() -> None:
-    for made, task in zip(CLASSES, TASKS, strict=True):
+    for made, task in zip(CLASSES, OF_HIGHWAY_ENV, strict=True):
         assert made.default_config() == made().default_config() == DrivingEnv(task).default_config()
         assert made().task is TASKS[task] and issubclass(made, AbstractEnv)
     assert OfNoTask().config["duration"] == 20 and OfNoTask().config["screen_width"] == 790
@@ -177,7 +177,7 @@ THEIR_CLASSES = {
 }
 
 
-@every_task
+@highway_env_task
 def test_what_is_read_of_the_replica_is_what_is_read_of_highway_env(task: str) -> None:
     id = f"{task}-v{VERSIONS.get(task, 0)}"
     # highway-env adds vehicles to its intersection after the observation, the replica before the next one

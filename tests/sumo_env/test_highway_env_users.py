@@ -14,7 +14,7 @@ import pytest
 from sumo_env.config import Config
 from sumo_env.env import DrivingEnv
 from tests.sumo_env.parity import stock
-from tests.tasks import every_task
+from tests.tasks import highway_env_task
 
 # Environments of rl-agents' scripts/configs, by file.
 RL_AGENTS: dict[str, tuple[str, Config]] = {
@@ -49,7 +49,7 @@ def highway() -> Iterator[DrivingEnv]:
 # -- configurations ----------------------------------------------------------------------------------------
 
 
-@every_task
+@highway_env_task
 def test_the_whole_configuration_of_highway_env_is_accepted(task: str, recwarn) -> None:
     """In silence, and what it says is what the environment then has."""
     theirs = stock(task).default_config()

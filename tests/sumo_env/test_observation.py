@@ -15,7 +15,7 @@ from sumo_env.actions import Situation, ego_route
 from sumo_env.config import resolve
 from sumo_env.interface import interface
 from sumo_env.tasks import TASKS
-from tests.tasks import every_task
+from tests.tasks import highway_env_task
 
 from .parity import ego_state, episodes, make, scatter, stock
 
@@ -59,7 +59,7 @@ def assert_equal(env: ScenarioEnv, theirs: ObservationType, observation: dict[st
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
-@every_task
+@highway_env_task
 def test_equal_throughout_episodes(task: str, risk: float) -> None:
     env = make(task, risk=risk)
     for step in episodes(env, range(2)):
@@ -71,7 +71,7 @@ def test_equal_throughout_episodes(task: str, risk: float) -> None:
             assert_equal(env, kind, observation)
 
 
-@every_task
+@highway_env_task
 def test_equal_in_random_states(task: str) -> None:
     env = make(task)
     for seed in range(4):
@@ -88,7 +88,7 @@ def test_equal_in_random_states(task: str) -> None:
                 assert_equal(env, observation_factory(env, observation), observation)
 
 
-@every_task
+@highway_env_task
 def test_spaces_are_those_of_highway_env(task: str) -> None:
     theirs = stock(task)({"vehicles_count": 5})
     for frequency in (1, 3):
@@ -104,7 +104,7 @@ def test_spaces_are_those_of_highway_env(task: str) -> None:
 @pytest.mark.parametrize(
     "action", [{"longitudinal": False}, {"lateral": False}, {"target_speeds": [5, 10, 15, 20]}]
 )
-@every_task
+@highway_env_task
 def test_actions_are_those_of_highway_env(task: str, action: dict[str, Any]) -> None:
     chosen = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 8, 16], **action}}
     theirs = stock(task)({"vehicles_count": 5, **chosen})
@@ -114,7 +114,7 @@ def test_actions_are_those_of_highway_env(task: str, action: dict[str, Any]) -> 
     assert list(own.action_type.target_speeds) == list(theirs.action_type.target_speeds)
 
 
-@every_task
+@highway_env_task
 def test_a_ladder_that_is_not_given_is_the_tasks(task: str) -> None:
     """highway-env falls back to the highway's, because it replaces the whole entry."""
     config = resolve(task, TASKS[task].defaults, {"action": {"type": "DiscreteMetaAction"}})

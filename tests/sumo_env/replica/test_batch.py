@@ -17,6 +17,7 @@ from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import EgoState
 from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import assert_same_bits
+from tests.tasks import OF_HIGHWAY_ENV
 
 ENVS = 4
 # Of the single environment's info.
@@ -89,13 +90,13 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     # lightest traffic of every task, and densest with risk
     *(
         (task, {**SEEDED, "config": {**list(TASKS[task].levels.values())[index], "risk": risk}})
-        for task in TASKS
+        for task in OF_HIGHWAY_ENV
         for index, risk in ((0, 0.0), (-1, 1.0))
     ),
     # highway-env's episodes, with the arrivals at the intersection, which it draws during an episode
     *(
         (task, {"config": {"observation": {"type": "Kinematics"}} if task in OBSERVATIONS else {}})
-        for task in (*TASKS, "highway-fast")
+        for task in (*OF_HIGHWAY_ENV, "highway-fast")
     ),
     ("intersection", {"config": {"neighbour_vehicles_connected_lanes": True, "destination": None}}),
     # options

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from sumo_env.tasks import TASKS
-from tests.tasks import every_task
+from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
 
 from .pairs import Case, cases, compare
 
@@ -25,7 +24,7 @@ def different(chosen: list[Case]) -> dict[Case, str]:
 
 
 @pytest.mark.slow
-@every_task
+@highway_env_task
 def test_some_episodes_are_those_of_highway_env(task: str) -> None:
     chosen = cases(task, FEW, seed=1)
     if task == "highway":  # the highest levels take highway-env a minute each
@@ -34,14 +33,14 @@ def test_some_episodes_are_those_of_highway_env(task: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", [task for task in TASKS if task != "highway"])
+@pytest.mark.parametrize("task", [task for task in OF_HIGHWAY_ENV if task != "highway"])
 def test_so_are_episodes_among_linear_drivers(task: str) -> None:
     chosen = [case._replace(law="linear", risk=0.5 + 0.5 * case.risk) for case in cases(task, FEW, seed=2)]
     assert different(chosen) == {}
 
 
 @pytest.mark.long
-@every_task
+@highway_env_task
 def test_99_percent_of_a_thousand_episodes_are_those_of_highway_env(task: str) -> None:
     found = different(cases(task, EACH))
     print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found.items(), sep="\n")

@@ -11,7 +11,7 @@ import pytest
 
 from sumo_env.replica.draws import with_other_drivers
 from sumo_env.replica.tables import PARAMETERS
-from tests.tasks import every_task
+from tests.tasks import highway_env_task
 
 RISKY = {"scenarios": "seeded", "config": {"risk": 0.6}}
 LINEAR = {**RISKY, "risk_law": "linear"}
@@ -30,7 +30,7 @@ def scenes(env: Any, steps: int = 4) -> bytes:
 
 
 @pytest.mark.parametrize("choices", [RISKY, LINEAR], ids=["standard", "linear"])
-@every_task
+@highway_env_task
 def test_an_imagined_copy_has_the_past_and_another_future(task: str, choices: dict[str, Any]) -> None:
     env = started(task, **choices)
     known, once, again, otherwise = copy.deepcopy(env), env.imagine(1), env.imagine(1), env.imagine(2)

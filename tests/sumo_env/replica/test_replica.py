@@ -20,7 +20,7 @@ from sumo_env.replica.compiled import compiled
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, power, tan, unary
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
-from tests.tasks import every_task
+from tests.tasks import highway_env_task
 
 SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12}}
 
@@ -33,7 +33,7 @@ def make(task: str, **config: Any) -> DrivingEnv:
 # -- the environment ------------------------------------------------------------------------------------------
 
 
-@every_task
+@highway_env_task
 def test_it_is_an_environment(task: str) -> None:
     env = make(task, risk=1.0)
     check_env(env, skip_render_check=True)
@@ -70,7 +70,7 @@ def test_the_trace_is_the_scene_after_every_sub_step() -> None:
     np.testing.assert_array_equal(without.scene.x, step.scene.x)
 
 
-@every_task
+@highway_env_task
 def test_measures_are_those_of_the_trace(task: str) -> None:
     simulator, scenario = start(task, seed=3, risk=1.0)
     before = simulator.reset(scenario)

@@ -15,7 +15,7 @@ import pytest
 import sumo_env
 from sumo_env.config import ConfigError
 from tests.processes import ROOT, ended
-from tests.tasks import every_task
+from tests.tasks import highway_env_task
 
 from .pairs import differences
 
@@ -54,7 +54,7 @@ CONFIGS: dict[str, list[dict[str, Any]]] = {
 
 
 @pytest.mark.slow
-@every_task
+@highway_env_task
 def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
     """By default, and under other configurations; one of three episodes goes on with the stream of the one before."""
     assert differences(task, 0, FEW[task], {}) == []
@@ -63,7 +63,7 @@ def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
 
 
 @pytest.mark.long
-@every_task
+@highway_env_task
 def test_it_is_in_99_percent_of_two_hundred_episodes(task: str) -> None:
     found = differences(task, 1000, EACH, {})
     print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")

@@ -19,7 +19,7 @@ from highway_env.vehicle.controller import MDPVehicle
 import sumo_env
 from sumo_env.config import warn_once
 from sumo_env.replica.env import ReplicaEnv
-from tests.tasks import every_task, published_task
+from tests.tasks import highway_env_task, published_task
 
 from .pairs import EQUAL, SLOW_EQUAL, episode, unfused
 
@@ -148,7 +148,7 @@ def test_later_versions_are_those_of_highway_env(id: str) -> None:
 
 
 @pytest.mark.long
-@every_task
+@highway_env_task
 def test_steered_episodes_are_the_same_in_99_percent(task: str) -> None:
     """To 1e-6 throughout, half of them under any action and half along the road."""
     quick = {key: value for key, value in QUICK.items() if key != "duration" or task != "two-way"}

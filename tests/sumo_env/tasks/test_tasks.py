@@ -11,7 +11,7 @@ from experiments.backends.highway_env import ScenarioEnv
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.intersection import _two_arms
 from tests.sumo_env.parity import Step, ego_state, episodes, make, scatter, stock
-from tests.tasks import every_task
+from tests.tasks import highway_env_task
 
 # Keys of highway-env whose default we have chosen otherwise (docs/environments).
 OWN_CHOICE = {"two-way": {"observation"}, "u-turn": {"observation", "screen_width", "screen_height"}}
@@ -33,7 +33,7 @@ WEIGHTS: dict[str, dict[str, Any]] = {
 LADDER = {"action": {"type": "DiscreteMetaAction", "target_speeds": [5, 10, 15, 20, 25]}}
 
 
-@every_task
+@highway_env_task
 def test_defaults_are_those_of_highway_env(task: str) -> None:
     theirs, own = stock(task).default_config(), TASKS[task].defaults
     for key in (own.keys() & theirs.keys()) - OWN_CHOICE.get(task, set()) - {"action"}:
@@ -54,7 +54,7 @@ def assert_same_judgement(step: Step) -> None:
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
-@every_task
+@highway_env_task
 def test_equal_throughout_episodes(task: str, risk: float) -> None:
     ended = False
     env = make(task, risk=risk)
@@ -76,7 +76,7 @@ def judged(env: ScenarioEnv, action: int) -> Step:
 
 @pytest.mark.parametrize("normalize", [True, False])
 @pytest.mark.parametrize("changed", ["nothing", "weights", "ladder"])
-@every_task
+@highway_env_task
 def test_equal_in_random_states(task: str, changed: str, normalize: bool) -> None:
     chosen = {"nothing": {}, "weights": dict(WEIGHTS[task]), "ladder": dict(LADDER)}[changed]
     if "normalize_reward" in TASKS[task].defaults:

@@ -41,8 +41,9 @@ SUMO_FAST_ID = "sumo/highway-fast-v0"  # the highway with the defaults of that
 LATER_IDS = tuple(
     f"replica/{name}-v{version}" for name, task in _TASKS.items() for version in task.versions[1:]
 )
-# highway-env's intersection with two learning cars
+# highway-env's intersection with two learning cars; on SUMO lanes are always connected, as in its last version
 TUPLE_IDS = tuple(f"replica/intersection-multi-agent-v{version}" for version in range(3))
+SUMO_TUPLE_IDS = tuple(f"sumo/intersection-multi-agent-v{version}" for version in range(2))
 
 
 def register_highway_envs() -> None:
@@ -122,6 +123,12 @@ for _version, _id in enumerate(TUPLE_IDS):
             "cars": 2,
             "per_car": _version > 0,
         },
+    )
+for _id in SUMO_TUPLE_IDS:
+    gym.register(
+        _id,
+        entry_point="sumo_env.several:make",
+        kwargs={"task": "intersection", "cars": 2, "per_car": version_of(_id) > 0},
     )
 for _id in NOT_HERE:
     _not_here = "sumo_env.hints:not_here"

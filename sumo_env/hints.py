@@ -77,12 +77,9 @@ NOT_HERE = {
         for id in _ROADS.split()
     },
     **_all(
-        "sumo/roundabout-v1 sumo/intersection-v1 sumo/intersection-v2 sumo/u-turn-v1 sumo/merge-v1",
+        "sumo/roundabout-v1 sumo/intersection-v1 sumo/intersection-v2 sumo/u-turn-v1 sumo/merge-v1 "
+        "sumo/intersection-multi-agent-v2",
         "replica/* has it",
-    ),
-    **_all(
-        "sumo/intersection-multi-agent-v0 sumo/intersection-multi-agent-v1 sumo/intersection-multi-agent-v2",
-        "sumo/intersection-v0 has 'MultiAgentAction'",
     ),
 }
 

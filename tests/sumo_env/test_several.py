@@ -238,6 +238,20 @@ def test_on_sumo_actions_and_observations_are_tuples_as_well(task: str) -> None:
         env.reset(options={"config": {"controlled_vehicles": 3}})
 
 
+@pytest.mark.parametrize("version", [0, 1])
+def test_on_sumo_highway_env_s_intersection_with_two_cars_has_its_spaces_and_its_ends(version: int) -> None:
+    """The first version has a reward for both cars, the second one for each."""
+    gym.register_envs(pytest.importorskip("highway_env"))
+    found = []
+    for room in ("sumo/", ""):
+        env: Any = gym.make(f"{room}intersection-multi-agent-v{version}", disable_env_checker=True)
+        env.reset(seed=0)
+        _, reward, terminated, *_ = env.step((1, 1))
+        found.append((env.action_space, env.observation_space, np.shape(reward), np.shape(terminated)))
+        env.close()
+    assert found[0] == found[1]
+
+
 def test_all_cars_have_one_configuration() -> None:
     """After a change by `configure`, and by writing to `config` of the environment."""
     config = tuples({"type": "DiscreteMetaAction"}, {"type": "Kinematics"}, controlled_vehicles=2)

@@ -41,7 +41,8 @@ def page(name: str) -> str:
 
 @each_page
 def test_ids_exist(page: Path) -> None:
-    assert set(re.findall(r"sumo/[a-z-]+-v\d", TEXTS[page])) <= {*sumo_env.IDS, sumo_env.SUMO_FAST_ID}
+    ids = {*sumo_env.IDS, *sumo_env.SUMO_TUPLE_IDS, sumo_env.SUMO_FAST_ID}
+    assert set(re.findall(r"sumo/[a-z-]+-v\d", TEXTS[page])) <= ids
 
 
 @each_page
@@ -86,6 +87,20 @@ def test_links_resolve(page: Path) -> None:
 def test_a_snippet_runs_when_it_is_copied_alone(block: str, tmp_path: Path) -> None:
     (tmp_path / "snippet.py").write_text(re.sub(r"learn\(\d+_\d+\)", "learn(600)", block), encoding="utf-8")
     python_again("-c", "import snippet", cwd=tmp_path)
+
+
+def test_the_steps_for_a_task_are_the_files_that_name_the_last_one() -> None:
+    """Beside the tests of highway-env's tasks."""
+    *_, last = TASKS
+    steps, _, _ = page("developers/extending.md").partition("## A learner")
+    rooms = "networks", "sumo_env", "agents", "experiments", "tests/golden"
+    said = re.findall(rf"`((?:{'|'.join(rooms)})/[\w/.<>-]+)`", steps)
+    word = re.compile(rf'"{last}"|\b{last}/|tasks\.{last}\b|import [\w, ]*\b{last}\b|(?<![.\w]){last}\(')
+    files = (file for room in rooms for end in ("py", "json") for file in (ROOT / room).rglob(f"*.{end}"))
+    found = {file for file in files if last == file.stem or word.search(file.read_text(encoding="utf-8"))}
+    folder = ROOT / "networks" / last
+    assert {ROOT / name.replace("<name>", last) for name in said} == found | {folder}
+    assert len(list(folder.iterdir())) == 4
 
 
 # -- what the code has is named ----------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from sumo_env.contacts import measures, rectangles
-from sumo_env.tasks import base, intersection, merge, roundabout, two_way
+from sumo_env.tasks import TASKS, base, two_way
 
 try:
     import numba
@@ -111,8 +111,6 @@ _BENEATH = (
 for _function in _BENEATH:  # plain Python, which functions call that kernels call
     register_jitable(_function)
 
-_sources = [
-    Path(str(module.__file__))
-    for module in (base, intersection, merge, roundabout, two_way, measures, rectangles)
-]
+_tasks = (sys.modules[type(task).__module__] for task in TASKS.values())
+_sources = [Path(str(module.__file__)) for module in (base, *_tasks, measures, rectangles)]
 _newest = max(source.stat().st_mtime for source in (*Path(__file__).parent.glob("*.py"), *_sources))

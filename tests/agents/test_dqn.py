@@ -17,6 +17,7 @@ from torch.nn import functional
 from agents.dqn import DQN, DQNConfig
 from agents.models import unflattened
 from tests.agents.networks import Noisy, Small
+from tests.experiments.fake_env import FakeEnv
 
 INPUTS, ACTIONS = 6, 3
 Medium = partial(Small, hidden=(64, 48), stream=32)
@@ -111,6 +112,38 @@ def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(
     assert agent.clipped == clipped and (clipped > 50) == clip
 
 
+def test_the_first_update_is_that_of_stable_baselines3() -> None:
+    """Before the networks part, double DQN is DQN; and its smooth L1 loss is half of ours where errors are small.
+
+    Adam's step does not depend on the scale of the gradient once its epsilon has the same scale.
+    """
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.buffers import ReplayBufferSamples
+    from stable_baselines3.common.logger import configure
+
+    agent = make(dataclasses.replace(SMALL, max_grad_norm=1e9), seed=4)
+    fill(agent, 100)
+    spaces = FakeEnv("u-turn", {})
+    spaces.observation_space, spaces.action_space = (
+        gym.spaces.Box(-10, 10, (INPUTS,)),
+        gym.spaces.Discrete(ACTIONS),
+    )
+    settings = {"gamma": SMALL.gamma, "max_grad_norm": 1e9, "device": "cpu"}
+    model = stable_baselines3.DQN("MlpPolicy", spaces, learning_rate=5e-4, **settings)
+    model.set_logger(configure(None, []))
+    for net in (model.q_net, model.q_net_target):
+        net.q_net = copy.deepcopy(agent.policy().network.requires_grad_())
+    model.policy.optimizer = torch.optim.Adam(model.q_net.parameters(), lr=5e-4, eps=0.5e-8)
+    s, action, reward, after, ended = agent.replay.sample(copy.deepcopy(agent._sampling), SMALL.batch_size)
+    samples = ReplayBufferSamples(s, action[:, None], after, ended[:, None], reward[:, None], None)
+    model.replay_buffer.sample = lambda *_, **__: samples
+    before = weights(agent.online)
+    model.train(gradient_steps=1, batch_size=SMALL.batch_size)
+    assert agent.update() < 0.5  # within the square part of smooth L1
+    np.testing.assert_allclose(weights(agent.online), weights(model.q_net.q_net), atol=2e-6)
+    assert np.abs(weights(agent.online) - before).max() > 4e-4
+
+
 def test_values_and_policy_of_a_known_decision_process() -> None:
     """Faster actions pay more and crash more often (terminal, no reward after)."""
     gamma, states = 0.9, 12
@@ -122,15 +155,15 @@ def test_values_and_policy_of_a_known_decision_process() -> None:
     expected = np.zeros_like(rewards)
     for _ in range(2000):
         expected = rewards + gamma * (1 - crash) * (transitions @ expected.max(1))
-    config = DQNConfig(gamma=gamma, updates=3000, learning_rate=1e-3, batch_size=100, tau=0.02)
+    config = DQNConfig(gamma=gamma, updates=2000, learning_rate=1.5e-3, batch_size=100, tau=0.03)
     agent = make(config, network=Medium, inputs=8)
-    for _ in range(20_000):
+    for _ in range(12_000):
         state, action = int(generator.integers(states)), int(generator.integers(ACTIONS))
         after = int(generator.choice(states, p=transitions[state, action]))
         crashed = bool(generator.random() < crash[state, action])
         agent.replay.add(features[state], action, rewards[state, action], features[after], crashed)
     agent.standardise()
-    for _ in range(3000):
+    for _ in range(2000):
         agent.update()
     learnt = agent.q(features)
     assert np.abs(learnt - expected).mean() < 0.05 * expected.max()

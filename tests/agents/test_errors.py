@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from agents import load
 from agents.belief import Estimator, Rule, Together
 from agents.dqn import DQNConfig, train
 from agents.files import save_arrays
@@ -70,6 +71,7 @@ CALLS: list[tuple[Callable[[], Any], str]] = [
     (lambda: make_policy("faster", road({0: "IDLE", 1: "SLOWER"})), "FASTER"),
     (lambda: make_policy("careful", road(features=("presence", "x", "y", "vy"))), "no vx"),
     (lambda: foreign_policy("mine.py:nothing", ENV), "no act"),
+    (lambda: load("u-turn-3", "contrl"), "u-turn-3/control"),
     (lambda: Estimator.load(other("other.npz")), "another network"),
     (lambda: NAN.act(np.ones((2, 6), np.float32)), "not a finite number"),
 ]

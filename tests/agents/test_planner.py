@@ -96,15 +96,6 @@ def test_planning_leaves_the_environment_as_it_was_and_closes_its_copies() -> No
     assert not Road.open_copies
 
 
-def test_idle_is_kept_where_nothing_makes_a_difference() -> None:
-    class Flat(Road):
-        def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-            observation, _, terminated, truncated, info = super().step(action)
-            return observation, 0.0, terminated, truncated, info
-
-    assert NAMES[Planner(Flat(None), foresees=True).act(np.zeros(1))] == "IDLE"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["planner", "clairvoyant"])
 def test_it_plans_on_sumo(name: str) -> None:

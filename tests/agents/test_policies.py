@@ -13,7 +13,6 @@ import torch
 import agents
 from agents import pretrained
 from agents.by_hand import Compiled
-from agents.files import DamagedFile
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
 from agents.policies import foreign_policy
@@ -44,16 +43,6 @@ def test_a_stored_policy_comes_back_with_its_statistics(kind: type[Greedy], tmp_
     assert weights(loaded) == weights(policy) != weights(Greedy(network(seed=1)))
     policy.save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "weights.npz").read_bytes()
-
-
-def test_weights_of_another_network_and_damaged_files_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "weights.npz"
-    Greedy(network()).save(file)
-    with pytest.raises(ValueError, match="another network"):
-        Greedy.load(file, network(width=32))
-    file.write_bytes(file.read_bytes()[:-100])
-    with pytest.raises(DamagedFile, match="damaged"):
-        Greedy.load(file, network())
 
 
 @pytest.mark.parametrize("algorithm", ["DQN", "PPO"])
@@ -97,13 +86,6 @@ def test_an_agent_has_the_weights_that_were_stored(published, arm, seed) -> None
     loaded = agents.load("u-turn-3", arm, published).network.state_dict()
     for name, value in network(seed).state_dict().items():
         assert torch.equal(loaded[name], value), name
-
-
-def test_an_unknown_agent_is_named_with_those_that_there_are(published: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"u-turn-3/mixd.*u-turn-3/mixed"):
-        agents.load("u-turn-3", "mixd", published)
-    with pytest.raises(FileNotFoundError, match=r"none\.npz: .*experiments\.study\.replaying\.publish"):
-        agents.load("u-turn-3", "mixed", tmp_path / "none.npz")
 
 
 def test_sumo_drives_from_the_first_step_of_every_episode() -> None:

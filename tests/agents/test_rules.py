@@ -91,14 +91,6 @@ def test_more_caution_slows_down_farther_behind_a_leader() -> None:
     assert distances == sorted(distances) and distances[0] < distances[2] < distances[-1]
 
 
-def test_careful_forgets_on_reset() -> None:
-    policy = make_policy("careful", road())
-    scenes = [scene((40, 0, 20), (90, -4, 25)), scene((35, 0, 20)), scene((30, 0, 20))]
-    first = [policy.act(each) for each in scenes]
-    policy.reset(0)
-    assert [policy.act(each) for each in scenes] == first
-
-
 @pytest.mark.parametrize(
     ("seen", "expected"),
     [
@@ -155,3 +147,11 @@ def test_careful_on_highway_env(task: str) -> None:
     )
     assert careful["crashed"].mean() <= 0.1 < 0.3 <= idle["crashed"].mean()
     assert task == "intersection" or careful["return"].mean() > idle["return"].mean()
+
+
+def test_careful_forgets_on_reset() -> None:
+    policy = make_policy("careful", road())
+    scenes = [scene((40, 0, 20), (90, -4, 25)), scene((35, 0, 20)), scene((30, 0, 20))]
+    first = [policy.act(each) for each in scenes]
+    policy.reset(0)
+    assert [policy.act(each) for each in scenes] == first

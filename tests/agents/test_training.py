@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from agents.dqn import DQN, DQNConfig, Training, train
 from agents.learner import Trained
+from agents.replay import Replay
 from tests.agents import networks
 from tests.agents.networks import Small, weights
 from tests.experiments.fake_env import FakeEnv
@@ -63,28 +64,6 @@ def test_every_agent_gets_the_same_budget(steps_per_update: int) -> None:
         )  # the last episode is played to its end
         assert agent.episodes["length"].sum() == agent.record["steps"] == agent.episodes["step"][-1]
     assert len({len(agent.episodes["episode"]) for agent in agents}) > 1
-
-
-def test_episode_log_says_what_happened() -> None:
-    agent = train(road(1.2), SMALL, 0)
-    log = agent.episodes
-    assert list(log["episode"]) == list(range(len(log["episode"])))
-    np.testing.assert_array_equal(np.cumsum(log["length"]), log["step"])
-    assert (log["length"][~log["crashed"]] == 20).all()
-    assert log["crashed"].any() and not log["crashed"].all()
-
-
-def test_one_seed_meets_the_same_scenarios_in_both_arms() -> None:
-    def met(seed: int, dose: float) -> list[int]:
-        FakeEnv.met.clear()
-        train(road(dose), SMALL, seed)
-        return [met for met, _, _ in FakeEnv.met]
-
-    calm, wild, other = met(3, 0.0), met(3, 0.9), met(4, 0.0)
-    shared = min(len(calm), len(wild))
-    assert shared > 10 and calm[:shared] == wild[:shared]
-    assert len(set(calm)) == len(calm)
-    assert not set(other) & set(calm)
 
 
 def test_inputs_are_standardised_with_the_warm_up_and_then_fixed() -> None:
@@ -173,3 +152,32 @@ def test_the_time_limit_is_no_end_to_the_values() -> None:
     assert max(lengths) == 20
     assert crashes < len(lengths)
     assert agent.replay.arrays["terminated"][: len(agent.replay)].sum() == crashes
+
+
+def filled(capacity: int, count: int) -> Replay:
+    replay = Replay(capacity, (2, 2))
+    for i in range(count):
+        replay.add(np.full((2, 2), i), i % 3, i / 10, np.full((2, 2), i + 1), terminated=i % 5 == 4)
+    return replay
+
+
+def test_the_oldest_transition_makes_room() -> None:
+    replay = filled(10, 13)
+    assert len(replay) == 10
+    assert sorted(replay.arrays["observations"][:, 0, 0]) == list(range(3, 13))
+
+
+def test_sampling_is_uniform_over_what_is_stored() -> None:
+    batch = filled(50, 20).sample(np.random.default_rng(0), 20_000)
+    counts = np.bincount(batch.observations[:, 0, 0].int(), minlength=20)
+    assert len(counts) == 20
+    assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
+
+
+def test_a_batch_holds_whole_transitions() -> None:
+    batch = filled(10, 13).sample(np.random.default_rng(0), 30)
+    number = batch.observations[:, 0, 0]
+    assert torch.equal(batch.next_observations[:, 1, 1], number + 1)
+    assert torch.equal(batch.actions, number.long() % 3)
+    torch.testing.assert_close(batch.rewards, number / 10)
+    assert torch.equal(batch.terminated, (number % 5 == 4).float())

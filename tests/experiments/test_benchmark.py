@@ -22,19 +22,19 @@ def test_ratios_are_taken_turn_by_turn() -> None:
     ]
 
 
-def test_a_slice_ends_with_an_episode_and_holds_its_resets() -> None:
-    driver = Driver("sumo", "u-turn", {"simulation_frequency": 15})
-    assert min(driver.rate(0.0)) > 0.0 and driver._done
-    assert min(driver.rate(0.0)) > 0.0 and driver.reset_ms() > 0.0
-    driver._env.close()
-
-
 @pytest.mark.parametrize(
-    "arguments", [("highway-env", "u-turn"), ("replica", "u-turn"), ("replica", "u-turn", {}, 4, 2)], ids=str
+    "arguments",
+    [("sumo", {"simulation_frequency": 15}), ("highway-env",), ("replica",), ("replica", {}, 4, 2)],
+    ids=str,
 )
-def test_other_drivers_drive_too(arguments: tuple[Any, ...]) -> None:
-    driver = Driver(*arguments)
-    assert min(driver.rate(0.0)) > 0.0 and driver.distinct(3) == 3
+def test_a_slice_ends_with_an_episode_and_holds_its_resets(arguments: tuple[Any, ...]) -> None:
+    backend, *more = arguments
+    driver = Driver(backend, "u-turn", *more)
+    assert min(driver.rate(0.0)) > 0.0 and driver._done >= driver._whole
+    if driver._whole:
+        assert min(driver.rate(0.0)) > 0.0 and driver.reset_ms() > 0.0
+    assert driver.distinct(3) == 3
+    driver._env.close()
 
 
 class Given(nullcontext):

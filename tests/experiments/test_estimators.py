@@ -13,7 +13,6 @@ from agents.plugins import sha256
 from experiments import estimators as command
 from experiments.estimators import published
 from experiments.study.design import estimators
-from experiments.support.errors import UserError
 
 
 def test_a_setting_gets_its_estimator_and_a_row(
@@ -38,8 +37,3 @@ def test_published_agents_drive_or_those_of_the_lightest_setting() -> None:
     weights = [published("two-way", level)[0].network.state_dict() for level in (1, 3)]
     assert all(torch.equal(own, weights[1][name]) for name, own in weights[0].items())
     assert len(published("u-turn", 4)) == len(command.DRIVERS)
-
-
-def test_a_setting_that_there_is_not_is_named() -> None:
-    with pytest.raises(UserError, match="u-turn-4"):
-        command.main(command.Options(("u-turn-4",)))

@@ -15,7 +15,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 from experiments.backends import make_env
 from experiments.backends.highway_env import ScenarioEnv
 from experiments.backends.highway_env_vehicle import PathVehicle, distance_beyond
-from sumo_env.config import ConfigError
 from sumo_env.traffic.risk import RiskEvent
 from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
 
@@ -146,25 +145,6 @@ def test_a_swerve_that_reaches_the_end_of_the_road_ends_on_the_own_lane() -> Non
     targets = [vehicle.target_lane_index for _ in range(5) if env.step(1)]
     assert targets[0] == ("b", "a", 0)  # it has swerved, and heads for the lane back
     assert targets[-1] == ("a", "b", 1)
-
-
-def test_configuration() -> None:
-    env = make("roundabout")
-    assert env.config["simulation_frequency"] == 15
-    assert make("roundabout", simulation_frequency=10).config["simulation_frequency"] == 10
-    env.reset(seed=0, options={"config": {"risk": 1.0, "vehicles_count": 7}})
-    assert len(env.scenario.vehicles) == 7 and env.scenario.risk == 1.0
-    env.config["vehicles_count"] = 3  # as users of highway-env do
-    env.reset(seed=0)
-    assert len(env.scenario.vehicles) == 3 and env.scenario.risk == 1.0
-    brakes = {"cut_in": 0.0, "brake": 0.9, "surge": 0.0}
-    env.reset(seed=0, options={"risk_rates": brakes, "risk_ranges": {"tau": [0.1, 0.1]}})
-    assert {event.kind for event in env.scenario.events} == {"brake"}
-    assert all(spec.driver.tau == pytest.approx(0.15) for spec in env.scenario.vehicles)
-    env.reset(seed=0)
-    assert {event.kind for event in env.scenario.events} != {"brake"}
-    with pytest.raises(ConfigError, match="'config', 'risk_rates'"):
-        env.reset(seed=0, options={"scenario": {}})
 
 
 # -- what kind of task the two-way road is ---------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from experiments.study.results.store import load
 from experiments.sweep import Options, UserError, cells_of, sweep
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.u_turn import UTurn
+from tests.experiments.fake_env import make_env
 
 
 class Own(UTurn):
@@ -35,10 +36,9 @@ def test_a_backend_that_lacks_a_task_says_so(monkeypatch: pytest.MonkeyPatch) ->
             cells_of(Options(tasks=("own",), backend=name))
 
 
-@pytest.mark.slow
-def test_it_is_studied_and_decides_nothing(tmp_path: Path) -> None:
+def test_it_is_studied_and_decides_nothing(tmp_path: Path, here: None) -> None:
     options = Options(out=tmp_path, tasks=("merge",), preset="smoke", seeds=2, updates=40, workers=2)
-    assert sweep(options) == 0
+    assert sweep(options, make_env=make_env, check=lambda _: None) == 0
     analysis = report.analyse(load(tmp_path))
     assert set(analysis.effects["task"]) == {"merge"}
     assert set(analysis.claims["verdict"]) <= {"not decided"}  # no claim of the plan is on the merge

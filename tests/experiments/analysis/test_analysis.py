@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from agents.rules import POLICIES
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.cells import comparable
 from experiments.analysis.claims import claims
@@ -134,13 +133,6 @@ class TestEffects:
 
 
 class TestMeans:
-    def test_every_task_weighs_the_same_over_all_agents(self, analysis: Analysis) -> None:
-        mean = find(analysis.means, scope="all tasks", outcome="crashed", term="risky")
-        rows = analysis.effects.query("outcome == 'crashed' and term == 'risky' and against == 'control'")
-        assert mean["settings"] == len(rows) == 5
-        assert mean["estimate"] == pytest.approx(rows.groupby("task")["estimate"].mean().mean())
-        assert mean["estimate"] == pytest.approx(mean["mean_arm"] - mean["mean_against"])
-
     def test_its_variance_is_that_of_a_weighted_sum(self) -> None:
         rows = contrasts(agents(3, 6, np.random.default_rng(5)), {PAIR: [("return", "risky")]})
         assert means(rows)["se"].item() == pytest.approx(np.sqrt((rows["se"] ** 2).sum()) / 3)
@@ -227,23 +219,7 @@ def test_the_last_sweep_decides(tmp_path: Any) -> None:
     assert set(chosen.episodes["cell"]) == set(chosen.cells)
 
 
-def test_baselines_of_another_test_are_left_out(tmp_path: Any) -> None:
-    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=10, arms=())
-    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=20, baselines=())
-    _, left_out = comparable(load(tmp_path))
-    assert len(left_out) == len(POLICIES)
-    assert all("episodes 10 instead of 20" in reason for reason in left_out.values())
-
-
 def test_a_baseline_is_compared_though_it_has_no_package_of_the_learner(tmp_path: Any) -> None:
     cells = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2)
     assert {"numba" in cell.versions for cell in cells} == {True, False}
     assert comparable(load(tmp_path))[1] == {}
-
-
-def test_presets_are_labels(tmp_path: Any) -> None:
-    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, preset="quick")
-    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, preset="paper")
-    found = analyse(load(tmp_path))
-    assert found.notes["left_out"] == {} and found.effects["seeds_arm"].iloc[0] == 3
-    assert found.provenance["presets"] == ["paper", "quick"]

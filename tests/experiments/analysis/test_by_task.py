@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
-from experiments.analysis.by_task import COLUMNS, OWN, by_task
+from experiments.analysis.by_task import COLUMNS, by_task
 from experiments.analysis.effects import ESTIMATE, MEANS, contrasts, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT
@@ -82,17 +80,6 @@ def test_every_number_is_the_mean_that_plain_pandas_finds(
         assert row["estimate"] == pytest.approx(own - control)
 
 
-def test_what_a_task_has_no_number_of_is_left_out(table: pd.DataFrame) -> None:
-    rows = table[(table["tested_on"] == "sumo") & (table["traffic"] == "risky")]
-    there = rows.groupby("outcome")["scope"].agg(set)
-    tasks = {*LEVELS}
-    means = {"all tasks", *(f"without {task}" for task in tasks)}
-    assert there["entered"] == {"roundabout"}  # the other two have no crossing
-    assert there["return"] == there["crashes_per_100_km"] == tasks  # they mean something else on each task
-    for outcome in ("crashed", "hard_crash", "mean_speed"):
-        assert there[outcome] == tasks | means
-
-
 def test_it_has_the_intervals_of_the_effects(
     results: Results, episodes: pd.DataFrame, table: pd.DataFrame
 ) -> None:
@@ -125,12 +112,6 @@ def test_an_agent_that_is_lost_at_home_counts_nowhere(episodes: pd.DataFrame) ->
     assert set(found["seeds_arm"]) == {3} and set(found["tested_on"]) == {"sumo", "replica"}
 
 
-def test_without_agents_there_is_no_row(tmp_path: Path) -> None:
-    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4, arms=())
-    nothing: Any = by_task(with_outcomes(load(tmp_path), OWN))
-    assert nothing.empty and "traffic" in nothing
-
-
 def test_a_setting_that_the_plan_does_not_name_is_in_no_mean(
     episodes: pd.DataFrame, table: pd.DataFrame
 ) -> None:
@@ -147,3 +128,14 @@ def test_a_setting_that_the_plan_does_not_name_is_in_no_mean(
 def test_an_episode_that_is_there_twice_is_an_error(episodes: pd.DataFrame) -> None:
     with pytest.raises(ValueError, match="twice"):
         by_task(pd.concat([episodes, episodes[episodes["kind"] == "agent"].head(1)]))
+
+
+def test_what_a_task_has_no_number_of_is_left_out(table: pd.DataFrame) -> None:
+    rows = table[(table["tested_on"] == "sumo") & (table["traffic"] == "risky")]
+    there = rows.groupby("outcome")["scope"].agg(set)
+    tasks = {*LEVELS}
+    means = {"all tasks", *(f"without {task}" for task in tasks)}
+    assert there["entered"] == {"roundabout"}  # the other two have no crossing
+    assert there["return"] == there["crashes_per_100_km"] == tasks  # they mean something else on each task
+    for outcome in ("crashed", "hard_crash", "mean_speed"):
+        assert there[outcome] == tasks | means

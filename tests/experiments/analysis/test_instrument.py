@@ -84,8 +84,3 @@ def test_the_placebo_rejects_in_about_five_percent_whatever_the_effect() -> None
         assert record["comparisons"] == 100
         assert record["rejected"] / 100 < bound(0.05, 100)
         assert record["p"] > 1e-4
-
-
-def test_the_placebo_needs_four_control_agents() -> None:
-    pair = instrument.setting(World(), 3, np.random.default_rng(4))
-    assert placebo(drawn({("sumo", "highway", 1, "50"): pair})).empty

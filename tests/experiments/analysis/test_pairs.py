@@ -19,7 +19,7 @@ from experiments.analysis.claims import CONTRADICTED, HOLDS, NOT_DECIDED, price
 from experiments.analysis.effects import contrasts
 from experiments.analysis.influence import influence
 from experiments.analysis.pairs import COMPARED, units
-from experiments.analysis.plan import DEFAULT, ENDS, STUDY
+from experiments.analysis.plan import ENDS, STUDY
 from experiments.analysis.scores import arms_of
 from experiments.reporting import tables
 from experiments.study.design.arms import ARMS, PAIRS
@@ -83,19 +83,6 @@ class TestUnits:
         there = units(drives[~lost]).groupby("task")["seed"].unique()
         assert [*there["u-turn"]] == [300, 301, 303, 304] and [*there["highway"]] == [300, 301, 302, 304]
         assert len(there["two-way"]) == SEEDS
-
-    def test_other_traffic_and_other_simulators_do_not_count(self, drives: pd.DataFrame) -> None:
-        tests = drives[drives["kind"] == "test"]
-        more = pd.concat([drives, tests.assign(traffic="dose50"), tests.assign(tested_on="replica")])
-        pd.testing.assert_frame_equal(units(more), units(drives))
-
-    def test_a_study_without_pairs_has_none(self, drives: pd.DataFrame) -> None:
-        alone = units(drives[drives["kind"] == "agent"])
-        assert alone.empty and contrasts(arms_of(alone), dict.fromkeys(COMPARED, SHOWN)).empty
-
-    def test_an_episode_that_is_there_twice_is_an_error(self, drives: pd.DataFrame) -> None:
-        with pytest.raises(ValueError, match="twice"):
-            units(pd.concat([drives, drives[drives["seed"] == 301]]))
 
 
 class TestQuestions:
@@ -205,11 +192,6 @@ class TestInfluence:
         assert regular["estimate"].idxmax() == ("highway", 301)
         assert regular.loc[("highway", 301), "verdict"] == CONTRADICTED
         assert regular["low"].idxmax() == ("highway", 301)
-
-    def test_nothing_is_asked_of_a_study_without_pairs_or_of_one_pair(self, drives: pd.DataFrame) -> None:
-        assert influence(drives[drives["kind"] == "agent"], STUDY).empty
-        assert influence(drives[drives["seed"] == 300], STUDY).empty
-        assert influence(drives, DEFAULT).empty
 
 
 @pytest.fixture

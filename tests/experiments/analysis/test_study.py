@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +17,10 @@ from experiments.analysis.gates import change, last_second
 from experiments.analysis.plan import DEFAULT, ENDS, STUDY, Learner, plan_of, reached
 from experiments.analysis.scores import Arms, Setting
 from experiments.reporting import by_task
-from experiments.study.design.sheet import GRID, SHEETS
+from experiments.study.design.sheet import GRID
 from experiments.study.results.store import load
-from experiments.support.errors import UserError
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR
-from tests.experiments.analysis.plans import SMALL
 
 CRASHES = [("crashed", "risky"), ("crashed", "regular")]
 Effects = dict[
@@ -34,9 +31,6 @@ Effects = dict[
 class TestPlan:
     def test_follows_the_preset(self) -> None:
         assert [plan_of([name]) for name in ("study", "quick")] == [STUDY, DEFAULT]
-
-    def test_its_ranges_are_the_sheets(self) -> None:
-        assert Learner().ranges == {task: SHEETS[task].return_range for task in GRID}
 
     def test_a_stage_is_reached_when_every_agent_of_it_is_there(self) -> None:
         """Whatever is there of the next one."""
@@ -168,13 +162,6 @@ def test_a_study_is_reported_while_it_runs(there: Any, settings: set[str], tmp_p
     assert set(found.policies.loc[found.policies["arm"] == "", "level_name"]) == {"3", "6"}
 
 
-def test_before_any_setting_is_complete_the_command_says_so(tmp_path: Any) -> None:
-    written = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, baselines=(), preset="small")
-    (tmp_path / "cells" / f"{written[0].name}.parquet").unlink()
-    with pytest.raises(UserError, match="no setting is complete yet"):
-        analyse(load(tmp_path))
-
-
 class TestStages:
     """A folder whose first stage is complete; of the second an agent is lost."""
 
@@ -202,19 +189,7 @@ class TestStages:
         sides = by_task.sides(analysis, "sumo", "crashed", ("sumo", "risky"))
         assert sides == {"less": ["highway", "u-turn"], "more": [], "open": []}
 
-    def test_claims_are_about_the_whole_plan(self, analysis: Analysis) -> None:
-        assert analysis.plan["version"] == 5 and set(analysis.claims["expected"]) == {5, 18}
-        assert len(SMALL.settings) == 18
-
     def test_the_learner_is_checked(self, analysis: Analysis) -> None:
         found = analysis.learner.groupby("check")["agents"].agg(list).to_dict()
         assert found == {"change": [4, 4], "diverged": [8], "gates": [8], "last second": [2, 2]}
         assert analysis.learner.set_index("check").loc["diverged", "passed"] is True
-
-    def test_its_report_says_how_far_it_is(self, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        from experiments import report
-
-        monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
-        page = report.write_report(home).read_text()
-        assert "Of the plan's stages a is complete" in page and "sumo-u-turn-6 is not complete" in page
-        assert "6, 9 and 12" in report.answer(home)

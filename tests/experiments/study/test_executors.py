@@ -10,7 +10,6 @@ import pytest
 
 from experiments.study.compute.executors import open_executor
 from experiments.study.compute.run import run
-from experiments.study.results.working import fraction_done
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import Sum
 from tests.experiments.study.test_run import TOTAL, Witness, results
@@ -18,30 +17,15 @@ from tests.experiments.study.test_run import TOTAL, Witness, results
 pytestmark = pytest.mark.slow
 
 
-def test_jobs_of_submitit_are_computed_and_retried(tmp_path):
+def test_jobs_of_submitit_are_retried_or_fail_at_their_time_limit(tmp_path):
     """submitit's processes on this machine: its scripts, messages and logs are those of Slurm."""
     pytest.importorskip("submitit")
     from experiments.study.compute.executors.slurm import SlurmExecutor
 
-    tasks = [
-        Sum("good", tmp_path),
+    dies, slow = (
         Sum("dies", tmp_path, fault="kill", times=1),
-    ]
-    witness = Witness()
-    failures = run(tasks, SlurmExecutor(tmp_path / "slurm", cluster="local"), 4, witness)
-    assert failures == {}
-    assert results(tasks) == [TOTAL] * 2
-    assert [len(task.tries()) for task in tasks] == [1, 2]
-    [reason] = [words for name, words in witness.retries if name == "dies"]
-    assert str(tmp_path / "slurm") in reason  # submitit's log
-
-
-def test_a_job_at_its_time_limit_fails_and_names_the_time(tmp_path):
-    pytest.importorskip("submitit")
-    from experiments.study.compute.executors.slurm import SlurmExecutor
-
-    task = Sum("long", tmp_path, pause=0.5)
-    executor = SlurmExecutor(tmp_path / "slurm", cluster="local")
+        Sum("slow", tmp_path, pause=60.0, silence=900.0),
+    )
 
     class Limit(Witness):
         """Sends the signal that Slurm sends before the time limit."""
@@ -49,14 +33,17 @@ def test_a_job_at_its_time_limit_fails_and_names_the_time(tmp_path):
         sent = False
 
         def tick(self) -> None:
-            if fraction_done(task.folder) >= 0.3 and not self.sent:
+            if not self.sent and (tmp_path / "slow.tries").exists() and slow.tries():
                 self.sent = True
-                os.kill(task.tries()[0], signal.SIGUSR2)
+                os.kill(slow.tries()[0], signal.SIGUSR2)
 
     witness = Limit()
-    [reason] = run([task], executor, 1, witness).values()
-    assert witness.sent and not witness.retries and len(task.tries()) == 1  # it would take as long again
-    assert re.search(r"time limit after \d+ s", reason)
+    failures = run([dies, slow], SlurmExecutor(tmp_path / "slurm", cluster="local"), 2, witness)
+    assert results([dies, slow]) == [TOTAL, None]
+    assert [len(task.tries()) for task in (dies, slow)] == [2, 1]  # the other would take as long again
+    [(name, reason)] = witness.retries
+    assert name == "dies" and str(tmp_path / "slurm") in reason  # submitit's log
+    assert list(failures) == ["slow"] and re.search(r"time limit after \d+ s", failures["slow"])
 
 
 @pytest.fixture

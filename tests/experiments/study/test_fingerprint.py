@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import gymnasium as gym
@@ -9,7 +10,8 @@ import pytest
 
 from experiments.backends import make_env
 from experiments.study.design import fingerprint
-from experiments.study.design.fingerprint import check_dynamics, check_learners, driven
+from experiments.study.design.fingerprint import check_dynamics, check_learners, driven, known_dynamics
+from experiments.study.design.verdict import verdicts, versions
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.tasks import PUBLISHED, published_task
@@ -58,6 +60,25 @@ def test_a_simulator_that_behaves_otherwise_is_named_before_a_sweep_begins(monke
         check_dynamics([("sumo", "u-turn")])
 
 
-@pytest.mark.slow
-def test_highway_env_does_what_it_did() -> None:
-    check_dynamics(("highway-env", task) for task in PUBLISHED)
+def cells(*tasks: str) -> list[dict[str, Any]]:
+    """Records of cells of today."""
+    keys = [{"task": task, "backend": "sumo", "dynamics": known_dynamics("sumo", task)} for task in tasks]
+    return [{"key": key, "versions": {**versions(), "torch": "2"}} for key in keys]
+
+
+def test_the_package_knows_the_present_dynamics() -> None:
+    found = verdicts(cells(*PUBLISHED))
+    assert found.keys() == set(PUBLISHED) and all(sum(own["counts"].values()) for own in found.values())
+    assert verdicts(cells("u-turn", "u-turn")).keys() == {"u-turn"}
+
+
+@pytest.mark.parametrize(
+    ("part", "changed"),
+    [("key", {"dynamics": "other"}), ("key", {"task": "none"}), ("versions", {"libsumo": "0.0"})],
+    ids=str,
+)
+def test_a_verdict_on_others_is_not(part: str, changed: dict[str, str]) -> None:
+    known = cells("highway", "u-turn")
+    others = copy.deepcopy(known)
+    others[1][part] |= changed
+    assert verdicts(known) and not verdicts(others)

@@ -27,12 +27,11 @@ from experiments.study.compute.policies import driver
 from experiments.study.compute.run import locked, log, watched
 from experiments.study.design.grid import learner_of
 from experiments.study.replaying.rerun import Case, play_again
-from experiments.study.results import store
 from experiments.study.results.store import DamagedCell, Store, load
 from experiments.study.results.working import LOCK, LOG, PROGRESS, fraction_done
 from experiments.support.errors import UserError, run_command
 from experiments.support.files import alone, made
-from experiments.support.films import check_film, save_gif
+from experiments.support.films import save_gif
 from tests.experiments.fake_env import FakeEnv
 
 
@@ -63,19 +62,13 @@ def test_code_that_a_record_names_is_not_run(where: str, evil: Path, tmp_path: P
     with pytest.raises(UserError):
         play_again(Case(Store(tmp_path), "cell", record, row), FakeEnv("u-turn", {"duration": 20}))
     if where != "rule":
-        with pytest.raises(UserError, match=r"evil\.py:Net is code of somebody's own.*--code FILE:NAME"):
+        with pytest.raises(UserError, match="--code"):
             learner_of(key, None)
-    assert not (tmp_path / "trace").exists()
-
-
-def test_code_that_the_user_names_has_to_be_the_cell_s(evil: Path, tmp_path: Path) -> None:
-    mine = tmp_path / "mine.py"
-    mine.write_text("class Net: pass\n")
-    key = key_of("dqn", network=f"{evil}:Net", network_sha256=sha256(evil))
-    with pytest.raises(UserError, match="is not the file of the cell"):
-        driver(key, f"{mine}:Net", FakeEnv("u-turn", {"duration": 20}), tmp_path / "weights.npz")
-    _, settings = learner_of(key, f"{mine}:Net")
-    assert settings.network == f"{mine}:Net"
+    if where == "network":  # code that the user names has to be the cell's
+        mine = tmp_path / "mine.py"
+        mine.write_text("class Net: pass\n")
+        with pytest.raises(UserError, match="not the file of the cell"):
+            driver(key, f"{mine}:Net", FakeEnv("u-turn", {"duration": 20}), weights)
     assert not (tmp_path / "trace").exists()
 
 
@@ -86,7 +79,7 @@ def test_an_agent_s_card_runs_nothing(evil: Path, tmp_path: Path) -> None:
     cards = json.loads(str(arrays[pretrained.CARDS]))
     cards["u-turn-3/control"]["network"] = f"{evil}:Net"
     np.savez(file, **{**arrays, pretrained.CARDS: np.array(json.dumps(cards))})
-    with pytest.raises(ValueError, match=r"none of ours. Give its class: load\(\.\.\., network=\.\.\.\)"):
+    with pytest.raises(ValueError, match="network="):
         agents.load("u-turn-3", "control", file)
     assert not (tmp_path / "trace").exists()
     ours, given = agents.load("u-turn-3", "control"), agents.load("u-turn-3", "control", file, EgoAttention)
@@ -94,15 +87,12 @@ def test_an_agent_s_card_runs_nothing(evil: Path, tmp_path: Path) -> None:
     assert np.array_equal(given.q(observation), ours.q(observation))
 
 
-NO_FILES = [("cells", "pipe"), ("cells", "folder"), ("parts", "device"), (store.SWEEPS, "pipe")]
-
-
-@pytest.mark.parametrize(("place", "kind"), NO_FILES)
+@pytest.mark.parametrize(("place", "kind"), [("cells", "pipe"), ("cells", "folder"), ("parts", "device")])
 def test_what_is_no_file_is_not_read(results: Path, place: str, kind: str) -> None:
     if place == "parts":
         Store(results).pack()
-    file = results / place if place == store.SWEEPS else min((results / place).iterdir())
-    file.unlink(missing_ok=True)
+    file = min((results / place).iterdir())
+    file.unlink()
     if kind == "pipe":
         os.mkfifo(file)
     elif kind == "device":
@@ -175,26 +165,15 @@ def test_a_link_in_the_place_of_a_folder_is_not_followed(kind: str, results: Pat
 
 
 @pytest.mark.parametrize("file", [LOG, PROGRESS])
-@pytest.mark.parametrize("kind", ["pipe", "device", "nested", "number"])
+@pytest.mark.parametrize("kind", ["pipe", "device"])
 def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path) -> None:
     place = made(results / "work" / "cell") / file
     if kind == "pipe":
         os.mkfifo(place)
-    elif kind == "device":
-        place.symlink_to("/dev/zero")
     else:
-        place.write_text("[" * 100_000 if kind == "nested" else '{"schema": 1e999}')
+        place.symlink_to("/dev/zero")
     Store(results).failures()
     assert fraction_done(results / "work" / "cell") == 0.0
-
-
-def test_a_film_is_refused_before_it_is_made(tmp_path: Path) -> None:
-    for name in ("film.mp4", "film", "film.gif.txt"):
-        with pytest.raises(UserError, match="the name of a film ends in"):
-            check_film(tmp_path / name, ".gif")
-    with pytest.raises(UserError, match=r"there is no folder .*/nowhere for film\.gif"):
-        check_film(tmp_path / "nowhere" / "film.gif", ".gif")
-    check_film(tmp_path / "film.gif", ".gif")
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import time
 from pathlib import Path
 
 import pytest
 
-from experiments.study.compute.executors import local
 from tests.processes import children, is_alive, python, started, wait_for
 
 # Workers in a call into C that never gives the interpreter back, as in a compiler.
@@ -43,31 +43,44 @@ def test_workers_that_hold_the_interpreter_end_with_their_parent(tmp_path: Path,
     wait_for(lambda: not any(map(is_alive, found)), 30)
 
 
-def watch_without_fcntl(started: Path) -> None:
-    """What a worker does on a system without it."""
-    local.fcntl = None
-    local.end_with_parent()
-    started.write_text(str(os.getpid()))
-    time.sleep(600)
-
-
-WATCHED = """
-import multiprocessing, sys, time
+# A run whose tasks wait.
+WAITS = """
+import sys
 from pathlib import Path
-from tests.experiments.study.test_orphans import watch_without_fcntl
+from experiments.study.compute.executors import open_executor
+from experiments.study.compute.run import run
+from experiments.support.errors import run_command
+from tests.experiments.study.misbehaving import Sum
+def main():
+    folder = Path(sys.argv[1])
+    tasks = [Sum(name, folder, pause=600.0, silence=900.0) for name in "ab"]
+    return bool(run(tasks, *open_executor("local", 2, folder, 25)))
 if __name__ == "__main__":
-    multiprocessing.get_context("spawn").Process(target=watch_without_fcntl, args=(Path(sys.argv[1]),)).start()
-    time.sleep(600)
+    run_command(main, resumes=True)
 """
 
 
-def test_a_worker_ends_with_its_parent_without_fcntl(tmp_path: Path) -> None:
-    (tmp_path / "driver.py").write_text(WATCHED)
-    process, note = started(tmp_path / "driver.py", tmp_path / "pid"), tmp_path / "pid"
-    wait_for(lambda: note.exists() and note.read_text() != "", 120)
-    process.kill()
-    process.communicate(timeout=30)
-    wait_for(lambda: not is_alive(int(note.read_text())), 30)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "send"),
+    [
+        (signal.SIGINT, os.killpg),
+        *(pytest.param(signal.SIGTERM, send, marks=pytest.mark.long) for send in (os.kill, os.killpg)),
+    ],
+)
+def test_a_stopped_run_says_how_to_go_on_and_leaves_no_process(tmp_path: Path, number: int, send) -> None:
+    """To the process alone as by `kill`, and to the whole group as by a terminal or a scheduler."""
+    script = tmp_path / "driver.py"
+    script.write_text(WAITS)
+    process = started(script, tmp_path)
+    wait_for(lambda: len(list(tmp_path.glob("*.tries"))) == 2, 300)
+    workers = children(process.pid, "spawn_main")
+    send(process.pid, number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130 and len(workers) == 2
+    again = shlex.join(["python", str(script), str(tmp_path)])
+    assert errors == f"interrupted; what is finished is kept. To go on: {again}\n"
+    wait_for(lambda: not any(map(is_alive, workers)))
 
 
 def test_experiments_can_be_imported_without_fcntl() -> None:

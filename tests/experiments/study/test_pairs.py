@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -72,12 +71,6 @@ class TestCells:
         key["pair"] = {**key["pair"], "rule": {"weighed": [9.0, 0.1]}}
         assert cell_name(key, cell.versions) != cell.name
 
-    def test_no_other_cell_knows_of_pairs(self, own_estimators: Path) -> None:
-        asked = Asked(preset="smoke", tasks=("u-turn",), unseen=True)
-        assert not any(
-            "pair" in cell.key() or "estimator" in str(cell.key()) for cell in cells_of(asked, known)
-        )
-
     def test_without_an_estimator_the_error_names_its_file(self, own_estimators: Path) -> None:
         (own_estimators / "u-turn-3.npz").unlink()
         with pytest.raises(UserError, match=r"u-turn-3\.npz"):
@@ -119,22 +112,3 @@ class TestSweep:
             monkeypatch.setattr("experiments.study.compute.policies.believing", sure)
             told = task._test(task.make_env("sumo", "u-turn", {}), lambda: None, {})[EPISODES]
             assert told["actions"].tolist() == tables[f"sumo-u-turn-3-{agent}"]["actions"].tolist()
-
-    def test_weights_in_half_precision_give_the_same_test(
-        self, store: Store, own_estimators: Path, tmp_path: Path
-    ) -> None:
-        """So that pairs can be tested from the published weights."""
-        [name] = [name for name in store.finished() if name.startswith("sumo-u-turn-3-pair-s0-")][:1]
-        store.pack()
-        for path in (store.directory / "weights").glob("*.npz"):
-            with np.load(path) as arrays:
-                halved = {part: arrays[part].astype(np.float16) for part in arrays.files}
-            np.savez(path, **halved)
-        other = tmp_path / "other"
-        other.mkdir()
-        for part in ("parts", "weights"):
-            (other / part).symlink_to(store.directory / part)
-        tasks = [task for task in tasks_of(other, **ASKED) if task.name == name]
-        assert tasks[0].done()
-        again = tasks[0]._test(tasks[0].make_env("sumo", "u-turn", {}), lambda: None, {})[EPISODES]
-        assert again["actions"].tolist() == store.tables(name)[EPISODES]["actions"].tolist()

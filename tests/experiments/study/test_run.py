@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
-from concurrent.futures import Executor, Future
+import time
+from concurrent.futures import Executor
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
 from experiments.study.compute.executors import open_executor
-from experiments.study.compute.run import Attempt, Observer, _ending, attempt, locked, run, watched
-from experiments.study.results.working import LOG, last_words
+from experiments.study.compute.progress import ProgressDisplay
+from experiments.study.compute.run import Observer, attempt, locked, run, watched
+from experiments.study.results.working import LOG, PROGRESS, last_words
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import STEPS, Sum
 from tests.processes import is_alive, wait_for
@@ -163,7 +165,50 @@ def test_an_executor_that_takes_no_more_tasks_ends_the_run_in_one_line(tmp_path)
         run([Sum("task", tmp_path)], Refusing(), 1)
 
 
-def test_a_signal_without_a_name_is_told_by_its_number(tmp_path: Path) -> None:
-    ended: Future[Attempt] = Future()
-    ended.set_exception(type("ProcessExpired", (Exception,), {"exitcode": -35})("it ended"))
-    assert _ending(Sum("a", tmp_path), ended) == Attempt("lost", "its process was killed by signal 35")
+class Told:
+    """A display of three tasks of 100 s each, the last of which was finished before, and the time."""
+
+    def __init__(self, work, monkeypatch, capsys) -> None:
+        self.now, self.tasks = 1000.0, {name: Sum(name, work) for name in "abc"}
+        monkeypatch.setattr(time, "monotonic", lambda: self.now)
+        for task in self.tasks.values():
+            task.folder.mkdir(parents=True)
+        self.display, self.capsys = ProgressDisplay(work / "work", dict.fromkeys("abc", 100.0), {"c"}), capsys
+
+    def tell(self, name: str, state: str) -> None:
+        self.display.tell(self.tasks[name], state)
+
+    def at(self, passed: float, **shares: float) -> float | None:
+        """Minutes that are said to be left, after so many seconds and with these shares of tasks done."""
+        self.now = 1000.0 + passed
+        for name, share in shares.items():
+            (self.tasks[name].folder / PROGRESS).write_text(str(share))
+        self.display.tick()
+        found = re.search(r"about (\d+) (s|min) left", self.capsys.readouterr().out)
+        return None if found is None else int(found[1]) / (60 if found[2] == "s" else 1)
+
+
+@pytest.fixture
+def told(tmp_path, monkeypatch, capsys) -> Told:
+    return Told(tmp_path, monkeypatch, capsys)
+
+
+def test_the_start_of_the_processes_says_nothing_about_the_speed(told) -> None:
+    told.tell("a", "running")
+    assert told.at(40, a=0) is None  # [s]
+    told.at(60, a=0.1)
+    assert told.at(100, a=0.5) == 2  # a hundredth a second, and 150 s of work
+
+
+def test_neither_other_runs_nor_failures_nor_what_was_there_speed_it_up(told) -> None:
+    told.tell("a", "running")
+    told.at(20, a=0.1)
+    assert told.at(60, a=0.5) == 2
+    told.tell("b", "running")  # for a moment, in which the other run's share is read
+    told.at(61, b=0.9)
+    told.tell("b", "in another run")
+    told.at(62, a=0.5)
+    told.tell("b", "finished")
+    assert told.at(102, a=0.9) == 10 / 60
+    told.tell("a", "failed")
+    assert told.at(120) is None

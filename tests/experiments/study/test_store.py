@@ -151,14 +151,6 @@ def test_sweeps_that_start_at_once_lose_no_note(tmp_path, monkeypatch):
     assert {sweep["command"] for sweep in read(home)} == {"highway", "u-turn"}
 
 
-def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):
-    with pytest.raises(UserError, match="no results"):
-        load(tmp_path / "nowhere")
-    store.Store(tmp_path / "new").write_sweep("none", [])
-    with pytest.raises(UserError, match="no finished cell"):
-        load(tmp_path / "new")
-
-
 # -- whatever happens to the files, a damaged one is named, never analysed, and its cell computed again ------------
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pandas as pd
-import pytest
 
 from agents.rules import make_policy
 from experiments.backends import make_env
@@ -14,7 +13,6 @@ from experiments.study.design.grid import env_config
 from experiments.study.design.options import Asked
 from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
-from experiments.support.errors import UserError
 from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import Scenario
 from tests.tasks import every_task
@@ -57,15 +55,10 @@ def test_drivers_of_another_model_keep_their_places_parameters_and_events() -> N
         assert all(spawn.vehicle.driver.type.startswith(name) for spawn in scenario.spawns)
 
 
-def test_only_traffic_that_differs_is_tested() -> None:
-    assert unseen_traffics("two-way") == ("only-cut-in", "only-brake", PARAMETERS, *MODELS)
-    assert unseen_traffics("intersection", "replica") == ("only-surge", PARAMETERS)
-
-
 def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -> None:
     env = make_env("sumo", "roundabout", env_config("sumo", "roundabout", 1))
-    traffics = unseen_traffics("roundabout")
-    assert {*traffics, "measured"} == set(UNSEEN)
+    traffics = (*unseen_traffics("roundabout"), "measured")
+    assert set(traffics) == set(UNSEEN)
     tables = [
         evaluate(env, make_policy("idle", env), drives("roundabout", 1, range(6), order)).set_index("traffic")
         for order in (traffics, traffics[::-1])
@@ -73,26 +66,8 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
     for traffic in traffics:
         pd.testing.assert_frame_equal(*(table.loc[traffic] for table in tables))
     assert len({tables[0].loc[traffic].to_csv(index=False) for traffic in traffics}) == len(traffics)
-    env.close()
-
-
-def test_measured_drivers_stand_in_the_places_of_regular_traffic_and_leave_nothing_behind() -> None:
-    env = make_env("sumo", "intersection", env_config("sumo", "intersection", 1))
-    orders = ("regular", "measured", "risky"), ("risky", "regular", "measured")
-    tables = [
-        evaluate(env, make_policy("idle", env), drives("intersection", 1, range(6), order)).set_index(
-            "traffic"
-        )
-        for order in orders
-    ]
-    for traffic in orders[0]:
-        pd.testing.assert_frame_equal(*(table.loc[traffic] for table in tables))
     inner: Any = env.unwrapped
-    assert {spec.driver.type.startswith("measured") for spec in inner.scenario.vehicles} == {True}
-    assert inner.config["drivers"] == "highway-env"
-    regular = inner.task.scenario(inner.config, inner.scenario.seed)
-    places = [[spec[:9] for spec in scenario.vehicles] for scenario in (inner.scenario, regular)]
-    assert places[0] == places[1]
+    assert inner.config["drivers"] == "highway-env"  # the measured ones leave nothing behind
     env.close()
 
 
@@ -104,11 +79,3 @@ def test_a_sweep_tests_in_further_traffic_by_name() -> None:
     )
     (added,) = cells.keys() - before.keys()
     assert cells[added].tested["traffics"] == ["measured"] and cells[added].parent.name in before
-    with pytest.raises(UserError, match="measured has drivers that replica has not"):
-        cells_of(Asked(**options, backend="replica", traffics=("measured",)))
-
-
-def test_every_traffic_is_one_row_and_an_unknown_one_is_named() -> None:
-    assert (*EVENTS, PARAMETERS, *MODELS, "measured") == UNSEEN
-    with pytest.raises(UserError, match="unknown traffic 'risk': did you mean 'risky'"):
-        evaluate(None, None, drives("u-turn", 1, [0], ["risk"]))

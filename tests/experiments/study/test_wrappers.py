@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from contextlib import closing
+from types import SimpleNamespace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 from agents.streams import episode_seed
 from experiments.backends import make_env as make_sumo
+from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.compute.worth import Worth
 from experiments.study.compute.wrappers import TimeObserved, TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.grid import env_config
@@ -52,18 +54,8 @@ def test_the_limit_is_terminal_in_training_and_truncates_in_the_test(rules: Trai
     assert ends == [(True, False), (False, True)]
 
 
-def test_without_a_finite_horizon_nothing_is_wrapped() -> None:
-    env = make_env("sumo", "u-turn")
-    assert observed(env, PLAIN) is env
-
-
 def test_gymnasium_accepts_the_environment() -> None:
     check_env(TimeObserved(DrivingEnv("roundabout"), 11), skip_render_check=True)
-
-
-def test_other_observations_are_refused() -> None:
-    with pytest.raises(ValueError, match="vehicles, features"):
-        TimeObserved(gym.make("CartPole-v1"), 10)
 
 
 def test_a_clock_observed_on_the_trainings_scale_shows_the_same_in_a_shorter_test() -> None:
@@ -81,6 +73,8 @@ def test_a_clock_observed_on_the_trainings_scale_shows_the_same_in_a_shorter_tes
 
 
 def test_the_dose_is_a_column_of_the_ego() -> None:
+    plain = make_env("sumo", "u-turn")
+    assert observed(plain, PLAIN) is plain
     env = observed(make_env("sumo", "u-turn"), TrainingRules(dose_observed=True))
     for risk in (0.0, 0.25, 1.0):
         seen, _ = env.reset(seed=0, options={"config": {"risk": risk}})
@@ -136,3 +130,53 @@ def test_a_crash_reward_is_added_to_the_step_that_crashes_alone() -> None:
         reward, (_, own, crashed, _, info) = env.step(faster)[1], plain.step(faster)
         assert float(reward) == float(own) - 2.0 * crashed
         assert info["crashed"] == crashed
+
+
+GAMMA = 0.9
+
+
+class Kept(FakeEnv):
+    """Keeps the rewards and the ends of its episodes."""
+
+    def reset(self, **options):
+        self.kept = [*getattr(self, "kept", []), ([], [])]
+        return super().reset(**options)
+
+    def step(self, action):
+        result = super().step(action)
+        rewards, crashed = self.kept[-1]
+        rewards.append(float(result[1]))
+        crashed.append(bool(result[2]))
+        return result
+
+
+def driven(rules: TrainingRules) -> tuple[Worth, Kept]:
+    """Some risky episodes of an agent whose values are 7 in the beginning and then 3."""
+    env = Kept("u-turn", {"duration": 10})
+    agent = SimpleNamespace(
+        act=lambda _: 1, reset=lambda _: None, q=lambda _: np.array([0.0, 3.0 if env.time else 7.0])
+    )
+    worth = Worth(env, agent, GAMMA, rules)
+    evaluate(worth, agent, drives("u-turn", 1, range(12), ["risky"]))
+    return worth, env
+
+
+@pytest.mark.parametrize("rules", [TrainingRules(), TrainingRules(finite_horizon=True)])
+def test_what_an_agent_gets_is_the_discounted_sum_and_what_it_still_expects_at_the_limit(rules) -> None:
+    worth, env = driven(rules)
+    ends = [crashed[-1] for _, crashed in env.kept]
+    assert any(ends) and not all(ends)
+    got = [
+        sum(GAMMA**k * r for k, r in enumerate(rewards))
+        + (0.0 if end or rules.finite_horizon else GAMMA ** len(rewards) * 3.0)
+        for (rewards, _), end in zip(env.kept, ends, strict=True)
+    ]
+    record = worth.record()
+    assert (record["episodes"], record["expected"]) == (12, 7.0)
+    assert record["got"] == pytest.approx(np.mean(got))
+    assert record["size"] == pytest.approx(np.sqrt(np.mean(np.square(got))))
+
+
+def test_the_price_of_a_crash_in_training_is_in_it() -> None:
+    free, priced = (driven(TrainingRules(crash_reward=x))[0].record()["got"] for x in (0.0, -2.0))
+    assert priced < free

@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+import shutil
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
 
+import experiments.validate
 from experiments import calibrate
-from experiments.calibrate import Options
-from experiments.study.design.sheet import SHEETS, SWITCH, Between, Space
-from experiments.validation.checks import REFERENCE
+from experiments.study.design import verdict
+from experiments.study.design.fingerprint import dynamics
+from experiments.validate import MISSED, Options, tables, validate
+from experiments.validation.checks import REFERENCE, SUMO
 from experiments.validation.episodes import Engine
-from sumo_env.tasks import TASKS
-from tests.experiments.validation.tables import compared, episodes
-
-SPACE: Space = {"x": Between(0.0, 10.0), "on": SWITCH}
-START = {"x": 9.0, "on": False}
-
-
-def test_distance_grows_with_the_difference() -> None:
-    assert calibrate.drivers_distance(compared(), "u-turn") == pytest.approx(0.0)
-    near, far = (
-        calibrate.drivers_distance(compared(traffic_speed=speed), "u-turn") for speed in (10.3, 12.0)
-    )
-    assert 0.0 < near < far
+from tests.experiments.validation.tables import episodes
 
 
 def responses(engine: str, careful: tuple[float, float, float]) -> pd.DataFrame:
@@ -55,39 +47,11 @@ def test_a_dose_does_what_it_shall(sumo, reference, good) -> None:
     assert (calibrate.dose_distance(table, "u-turn") < 0.01) is good
 
 
-def objective(settings: dict) -> float:
-    return (settings["x"] - 3.0) ** 2 + (not settings["on"])
-
-
-def test_the_same_search_takes_the_same_way_and_begins_with_the_present_settings() -> None:
-    def asked(trials: int) -> list[dict]:
-        return [trial.params for trial in calibrate.minimise(SPACE, objective, START, trials).trials]
-
-    once = asked(15)
-    assert once[0] == START and min(map(objective, once)) < objective(START)
-    assert asked(12) == once[:12]
-
-
-def test_what_is_searched_exists_for_every_task() -> None:
-    assert set(SHEETS) == set(TASKS)
-    for name, task in TASKS.items():
-        assert set(SHEETS[name].drivers) <= set(asdict(task.calibration))
-        assert set(SHEETS[name].risk) <= set(calibrate.present_risk(task))
-
-
-def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:
-    task = TASKS["u-turn"]
-    assert calibrate.present_risk(task)["tau"] == task.risk_ranges.tau[0]
-    assert calibrate.risk_options(task, {"tau": 0.7, "cut_in": 0.3}) == {
-        "risk_rates": {"cut_in": 0.3},
-        "risk_ranges": {"tau": (0.7, task.risk_ranges.tau[1])},
-    }
-
-
 @pytest.mark.slow
 def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path, monkeypatch, here) -> None:
     monkeypatch.setattr(calibrate, "HIGHWAY_ENV", Engine(REFERENCE, "sumo"))  # both sides are quick
-    options = Options(tmp_path, tasks=("u-turn",), trials=2, scenarios=2, workers=1)
+    monkeypatch.setattr(calibrate, "DOSES", calibrate.DOSES[::2])
+    options = calibrate.Options(tmp_path, tasks=("u-turn",), trials=2, scenarios=2, workers=1)
     result = calibrate.calibrate(options)
     assert json.loads((tmp_path / "calibration.json").read_text()) == result
     for part in ("drivers", "risk"):
@@ -98,3 +62,32 @@ def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path,
     table = pd.read_csv(tmp_path / "doses.csv")
     assert set(table["engine"]) == {"sumo", calibrate.WITHOUT_EVENTS, "reference"}
     assert set(table["traffic"]) == set(calibrate.DOSES)
+
+
+@pytest.mark.slow
+def test_the_command_writes_what_it_found(tmp_path: Path, here: None) -> None:
+    few: dict[str, Any] = {"tasks": ("u-turn",), "levels": (1,), "scenarios": 3}
+    record = validate(Options(tmp_path, quick=True, **few, workers=1))
+    assert json.loads((tmp_path / "validation.json").read_text()) == record
+    assert {item["traffic"] for item in record["checks"]} == {"regular", "risky"}
+    assert record["replica"] == {}  # highway-env itself drives nothing in a quick run
+    rows = (tmp_path / "validation.html").read_text().count("<tr")
+    assert rows == sum(len(table) + 1 for table in tables(record).values())  # each with a head
+    assert record["tasks"]["u-turn"]["counts"]["missed"] == len(tables(record)[MISSED])
+
+
+def test_an_update_stores_the_driven_tasks_and_keeps_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored = tmp_path / "verdict.json"
+    shutil.copy(verdict.STORED, stored)
+    before = json.loads(stored.read_text())
+    for module in (experiments.validate, verdict):
+        monkeypatch.setattr(module, "STORED", stored)
+    driven = pd.concat(episodes(name, level=level) for name in (SUMO, REFERENCE) for level in (1, 2, 3, 4))
+    monkeypatch.setattr(experiments.validation.episodes, "run", lambda *_: driven)
+    record = validate(Options(tmp_path, tasks=("u-turn",), update=True))
+    assert json.loads(stored.read_text()) == {**before, "u-turn": record["tasks"]["u-turn"]} != before
+    key = {"task": "u-turn", "dynamics": dynamics("sumo", "u-turn")}
+    assert verdict.verdicts([{"key": key, "versions": verdict.versions()}]) == record["tasks"]
+    assert verdict.verdicts([{"key": {**key, "dynamics": "other"}, "versions": {}}]) == {}

@@ -1,0 +1,154 @@
+"""The tables that a report leads with, from small frames whose numbers one can compute in the head."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+
+from experiments.reporting import by_task, figures, tables
+
+
+def analysis(**frames: Any) -> Any:
+    """As much of an analysis as a table reads."""
+    return SimpleNamespace(**frames)
+
+
+def rows_by_task(*rows: tuple[Any, ...]) -> pd.DataFrame:
+    """scope, simulator, traffic, outcome, control, treated, low and high of the difference."""
+    columns = ["scope", "tested_on", "traffic", "outcome", "mean_against", "mean_arm", "low", "high"]
+    found = pd.DataFrame(rows, columns=columns).assign(
+        backend="sumo", arm="treatment", against="control", status="ok"
+    )
+    return found.assign(estimate=found["mean_arm"] - found["mean_against"])
+
+
+TASKS = rows_by_task(
+    ("u-turn", "sumo", "regular", "crashed", 0.02, 0.02, -0.01, 0.01),
+    ("u-turn", "sumo", "risky", "crashed", 0.74, 0.13, -0.64, -0.57),
+    ("u-turn", "sumo", "risky", "crashes_per_100_km", 632.3, 136.2, -535.1, -457.2),
+    ("u-turn", "sumo", "only-parameters", "crashed", 0.017, 0.008, -0.016, -0.002),
+    ("u-turn", "replica", "risky", "crashed", 0.65, 0.09, -0.60, -0.52),
+    ("two-way", "sumo", "regular", "crashed", 0.2, 0.57, 0.32, 0.42),
+    ("two-way", "sumo", "risky", "crashed", 0.8, 0.71, -0.13, -0.05),
+    ("all tasks", "sumo", "risky", "crashed", 0.77, 0.42, -0.38, -0.31),
+    ("without u-turn", "sumo", "risky", "crashed", 0.8, 0.71, -0.13, -0.05),
+    ("without two-way", "sumo", "risky", "crashed", 0.74, 0.13, -0.64, -0.57),
+)  # fmt: skip
+
+
+def test_the_table_of_tasks_has_a_line_a_task_and_traffic() -> None:
+    table = by_task.by_task(analysis(by_task=TASKS), "sumo")
+    assert table.columns.tolist() == ["task", "traffic", *by_task.TITLES.values()]
+    assert table.iloc[:, :4].to_numpy().tolist() == [
+        ["u-turn", "risky", "74.0 → 13.0\n−61.0 [−64.0, −57.0]", "632 → 136\n−496 [−535, −457]"],
+        ["u-turn", "regular", "2.0 → 2.0\n0.0 [−1.0, +1.0]", "–"],
+        ["two-way", "risky", "80.0 → 71.0\n−9.0 [−13.0, −5.0]", "–"],
+        ["two-way", "regular", "20.0 → 57.0\n+37.0 [+32.0, +42.0]", "–"],
+    ]
+    away = by_task.by_task(analysis(by_task=TASKS), "sumo", away=True)
+    assert away.iloc[:, :3].to_numpy().tolist()[:2] == [
+        ["u-turn", "risky drivers, no events", "1.7 → 0.8\n−0.9 [−1.6, −0.2]"],
+        ["u-turn", "risky, replica", "65.0 → 9.0\n−56.0 [−60.0, −52.0]"],
+    ]
+
+
+def test_tasks_are_on_the_side_that_the_plan_or_their_interval_says() -> None:
+    """Of the primary outcome at home by the plan, whatever the interval says; of all else by the interval."""
+    verdicts = [("u-turn", "risky", "less"), ("two-way", "risky", "open"), ("two-way", "regular", "more")]
+    primary = pd.DataFrame(verdicts, columns=["scope", "term", "verdict"])
+    found = analysis(by_task=TASKS, primary=primary.assign(backend="sumo", outcome="crashed"))
+    assert by_task.sides(found, "sumo", "crashed", ("sumo", "risky")) == {
+        "less": ["u-turn"],
+        "more": [],
+        "open": ["two-way"],
+    }
+    assert by_task.sides(found, "sumo", "crashed", ("sumo", "regular"))["more"] == ["two-way"]
+    per_distance = by_task.sides(found, "sumo", "crashes_per_100_km", ("sumo", "risky"))
+    assert per_distance == {"less": ["u-turn"], "more": [], "open": []}
+    away = by_task.sides(found, "sumo", "crashed", ("replica", "risky"))
+    assert away == {"less": ["u-turn"], "more": [], "open": []}
+
+
+SETTING = {"backend": "sumo", "task": "u-turn", "level": 1, "level_name": "3"}
+NAN = float("nan")
+
+
+def test_the_frontier_table_has_a_row_an_arm_and_says_how_many_agents_are_compared() -> None:
+    columns = ["arm", "traffic", "agents", "inside", "estimate", "low", "high"]
+    found = pd.DataFrame(
+        [
+            ["control", "risky", 5, 4, 0.125, 0.05, 0.2],
+            ["control", "regular", 5, 1, -0.03, NAN, NAN],  # one agent has no interval
+            ["treatment", "risky", 5, 0, NAN, NAN, NAN],  # faster than all drivers
+        ],
+        columns=columns,
+    ).assign(**SETTING)
+    elsewhere = found.assign(backend="replica", estimate=0.9)
+    table = tables.frontier(analysis(frontier=pd.concat([found, elsewhere])), "sumo")
+    shown = ["risky traffic", "agents, risky", "regular traffic", "agents, regular"]
+    assert table.columns.tolist() == ["setting", "arm", *shown]
+    control, treatment = table.fillna("").to_numpy().tolist()
+    assert control == ["u-turn 3", "control", "+12.5 [+5.0, +20.0]", "4 of 5", "−3.0", "1 of 5"]
+    assert treatment == ["u-turn 3", "treatment", "–", "0 of 5", "", ""]
+
+
+def test_bars_over_the_traffic_levels_are_95_percent_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[tuple[float, float]] = []
+
+    def errorbar(self: Axes, x: Any, y: Any, half: Any, **style: Any) -> None:
+        drawn.extend(zip(y, half, strict=True))
+
+    monkeypatch.setattr(Axes, "errorbar", errorbar)
+    means = {("control", "regular"): 0.5, ("control", "risky"): 0.3, ("treatment", "regular"): 0.4}
+    place = {"task": "u-turn", "level": 1, "level_name": "3", "policy": "dqn"}
+    figures.against_traffic(
+        pd.DataFrame(
+            [
+                {**place, "arm": arm, "traffic": traffic, "n": 5, "crashed": mean, "crashed se": 0.1}
+                for (arm, traffic), mean in means.items()
+            ]
+        ),
+        "sumo",
+    )
+    assert sorted(mean for mean, _ in drawn) == [0.3, 0.4, 0.5]
+    # t with 4 degrees of freedom
+    assert [half for _, half in drawn] == pytest.approx([0.2776] * 3, abs=1e-4)
+
+
+def test_the_line_under_the_policies_is_the_frontier_of_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[list[tuple[float, float]]] = []
+
+    def plot(self: Axes, x: Any, y: Any, *_: Any, **style: Any) -> None:
+        if "lw" in style:
+            lines.append(list(zip(x, y, strict=True)))
+
+    monkeypatch.setattr(Axes, "plot", plot)
+    places = {
+        "slower": (5.0, 0.1),
+        "idle": (9.0, 0.3),
+        "faster": (12.0, 0.5),
+        "careful": (8.0, 0.35),  # above the line between the others
+        "idm": (9.0, 0.2),  # below it, but not of the frontier, as a policy of the user's own
+        "mine.py:Mine": (9.0, 0.0),
+    }
+    rows = [
+        {"task": "u-turn", "traffic": "risky", "policy": policy, "arm": "", "progress": x, "crashed": y}
+        for policy, (x, y) in places.items()
+    ]
+    figures.crashes_against_progress(pd.DataFrame(rows), "sumo")
+    assert [line for line in lines if line] == [[(5.0, 0.1), (9.0, 0.3), (12.0, 0.5)]]
+
+
+def test_the_hazard_is_the_share_of_the_drives_still_on_the_road_that_crashes() -> None:
+    drives = pd.DataFrame(
+        {"cell": "a", "crash_free_time": [0.0, 0.9, 2.0, 3.0, 3.0], "crashed": [1.0, 0.0, 1.0, 1.0, 0.0]}
+    )
+    other = pd.DataFrame({"cell": "b", "crash_free_time": [1.5], "crashed": [1.0]})
+    found = figures.hazards(pd.concat([drives, other]))
+    # five drives in the first second, three in the second, two in the third
+    assert found.loc["a"].tolist() == pytest.approx([1 / 5, 1 / 3, 1 / 2])
+    assert found.loc["b"].tolist() == pytest.approx([0.0, 1.0, float("nan")], nan_ok=True)

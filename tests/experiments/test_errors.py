@@ -1,0 +1,116 @@
+"""What the commands refuse: a row is what a user asks for, and the word of the UserError that says what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiments import estimators, report, validate
+from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.design import experiment, grid
+from experiments.study.results.store import Store, load
+from experiments.support.errors import UserError
+from experiments.support.films import check_film
+from experiments.sweep import Options, cells_of, sweep
+from tests.experiments.computed import TINY
+from tests.experiments.fake_env import make_env
+from tests.experiments.study.test_grid import cells
+
+FILES = {
+    "mine.py": "class Mine:\n    def __init__(self, env): pass\n    def act(self, observation): return 4\n",
+    "model.zip": "no model",
+    "outcomes.py": "from experiments.analysis.plan import Outcome\nnothing = Outcome('Nothing', '', 0, 1)\n"
+    "crashed = Outcome('Crashed', '', 0, 1, of=len)\n",
+    "frozen/cells.parquet": "",
+}
+
+
+CELLS: list[tuple[dict[str, Any], str]] = [
+    ({"backend": "summo"}, "did you mean 'sumo'"),
+    ({"seeds": 0}, "at least one seed"),
+    ({"first_seed": -1}, "number of a training"),
+    ({"first_seed": 10**9 - 1}, "number of a training"),
+    ({"arms": ("treatmen",)}, "did you mean 'treatment'"),
+    ({"test_on": ("replca",)}, "did you mean 'replica'"),
+    ({"config": ("vehicle_count=3",)}, "did you mean 'vehicles_count'"),
+    ({"config": ("risk_law=linear",)}, "of the backends replica and highway-env"),
+    ({"config": ("risk=1",)}, "risk cannot be set"),
+    ({"config": ("duration",)}, "KEY=VALUE"),
+    ({"learner": "sb3-pp"}, "did you mean 'sb3-ppo'"),
+    ({"learner": "sb3-ppo", "settings": ("gama=0.9",)}, "'gama' of the learner sb3-ppo"),
+    ({"learner": "sb3-ppo", "network": "dueling"}, "'network' of the learner sb3-ppo"),
+    ({"settings": ("finite_horizn=true",)}, "'finite_horizn' of the learner dqn"),
+    ({"learners": {"highway": {"wam_up": 5}}}, "did you mean 'warm_up'"),
+    ({"settings": ("gamma",)}, "--settings takes KEY=VALUE"),
+]
+
+
+def smoke(**asked: Any) -> Callable[[], Any]:
+    return lambda: cells_of(Options(preset="smoke", **asked))
+
+
+def swept(**asked: Any) -> Callable[[], Any]:
+    options = Options(**{"out": Path("results"), **TINY, **asked})
+    return lambda: sweep(options, make_env=make_env, check=lambda _: None)
+
+
+def validated(**part: Any) -> Callable[[], Any]:
+    return lambda: validate.validate(validate.Options(Path("results"), update=True, **part))
+
+
+def empty() -> None:
+    Store(Path("new")).write_sweep("none", [])
+    load(Path("new"))
+
+
+ROWS: list[tuple[Callable[[], Any], str]] = [
+    (lambda: grid.choose_tasks(["higway"]), "did you mean 'highway'"),
+    (lambda: grid.choose_levels(["highway"], [4]), "known are 1, 2, 3"),
+    *((partial(cells, **asked), word) for asked, word in CELLS),
+    (lambda: experiment.shard([], "3/2"), "1 <= i <= n"),
+    (lambda: experiment.shard([], "half"), "--shard"),
+    (smoke(tasks=("highway", "u-turn"), levels=(4,)), "--tasks highway asks for nothing"),
+    (smoke(test_on=("sumo", "replica")), "--test-on sumo asks for nothing"),
+    (smoke(pairs=True, arms=("control",)), "--pairs asks for nothing"),
+    (smoke(drivers=("planner", "sumo"), backend="replica"), "--drivers sumo asks for nothing"),
+    (smoke(placebo=True, arms=("mixed",)), "leave out --arms"),
+    (smoke(tasks=("highway",), backend="replica", traffics=("measured",)), "measured has drivers that replica has not"),
+    (lambda: evaluate(None, None, drives("u-turn", 1, [0], ["risk"])), "did you mean 'risky'"),
+    # what would fail after the trainings is refused before them
+    (swept(policy=("model.zip",)), "no model of Stable-Baselines3"),
+    (swept(policy=("mine.py:Other",)), "defines no Other"),
+    (swept(settings=("device=toaster",)), "device toaster"),
+    (swept(executor="slurm", out=Path("begun")), "--executor slurm is for machines"),
+    # results and what is made of them
+    (lambda: load(Path("nowhere")), "no results"),
+    (empty, "no finished cell"),
+    *((partial(report.own_outcome, name), word) for name, word in [
+        ("outcomes.py:nothing", "function `of`"), ("outcomes.py:nobody", "defines no"), ("outcomes.py", "FILE:NAME"),
+        ("outcomes.py:crashed", "already"),
+    ]),
+    (lambda: report.write_report(Path("frozen")), "FROZEN.md"),
+    (lambda: report.write_report(Path("mine"), Path("frozen")), "FROZEN.md"),
+    (lambda: check_film(Path("film.gif.txt"), ".gif"), "ends in"),
+    (lambda: check_film(Path("nowhere/film.gif"), ".gif"), "there is no folder"),
+    (validated(quick=True), "--update"),
+    (validated(levels=(1,)), "--update"),
+    (lambda: estimators.main(estimators.Options(("u-turn-4",))), "u-turn-4"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "word"), ROWS, ids=[f"{k}-{row[1]}" for k, row in enumerate(ROWS)])
+def test_what_is_asked_for_is_refused_in_one_line(call, word: str, tmp_path: Path, monkeypatch) -> None:
+    """Before anything is written."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", "")  # on which there is no Slurm
+    for name, text in FILES.items():
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text(text)
+    with pytest.raises(UserError) as caught:
+        call()
+    assert word in str(caught.value) and "\n" not in str(caught.value)
+    assert not Path("results").exists()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import pytest
 
 import sumo_env
 from sumo_env import doctor
-from tests.processes import python
+from tests.processes import ROOT, python
 
 
 def test_the_folder_is_named() -> None:
@@ -43,23 +45,32 @@ def test_a_problem_is_told_and_ends_the_examination(monkeypatch: pytest.MonkeyPa
     assert "pip install libsumo==" in said and "third" not in said
 
 
-def test_a_system_that_cannot_load_sumo_is_told_what_it_lacks(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """As in a slim container, where the wheel is installed and the libraries of the window are not."""
-    (tmp_path / "libsumo.py").write_text("raise ImportError('libX11.so.6: cannot open shared object file')")
-    monkeypatch.delitem(sys.modules, "sumo_env.sumo.engine", raising=False)
-    monkeypatch.delitem(sys.modules, "libsumo", raising=False)
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ImportError, match=r"SUMO is here.*libx11-6.*libX11\.so\.6: cannot open"):
-        doctor.sumo()
+SCRIPT = """
+import sys
+import gymnasium as gym
+import sumo_env
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+assert gym.__version__ == sys.argv[1], gym.__version__
+for id in sumo_env.IDS:
+    env = gym.make(id)
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+for mode in (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP):
+    envs = gym.make_vec("sumo/u-turn-v0", num_envs=2, autoreset_mode=mode)
+    envs.reset(seed=0)
+    for _ in range(15):
+        envs.step(envs.action_space.sample())
+    envs.close()
+"""
 
 
-def test_episodes_that_differ_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sumo_env.env import DrivingEnv
-
-    reset = DrivingEnv.reset
-    seeds = iter(range(100))
-    monkeypatch.setattr(DrivingEnv, "reset", lambda self, **kwargs: reset(self, seed=next(seeds)))
-    with pytest.raises(RuntimeError, match="two different episodes"):
-        doctor.task("sumo/u-turn-v0")
+@pytest.mark.long
+@pytest.mark.parametrize("version", ["1.1.0", "1.2.2", "1.3.0"])
+def test_environments_work_on_an_older_gymnasium(version: str, tmp_path: Path) -> None:
+    """Alone, checked by gymnasium, and as vector environments."""
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-deps"]
+    subprocess.run([*pip, "--target", tmp_path / "older", f"gymnasium=={version}"], check=True)
+    path = os.pathsep.join((str(tmp_path / "older"), str(ROOT)))
+    python("-W", "ignore", "-c", SCRIPT, version, PYTHONPATH=path)

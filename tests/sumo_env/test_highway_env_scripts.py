@@ -12,9 +12,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import FlattenObservation, RecordVideo
+from gymnasium.wrappers import FlattenObservation
 
-import sumo_env  # in place of highway_env
 from sumo_env.config import ConfigError, warn_once
 from sumo_env.envs import HighwayEnv, IntersectionEnv
 
@@ -38,31 +37,6 @@ def test_the_quickstart_trains_a_dqn_on_the_fast_highway(tmp_path: Path) -> None
         obs, reward, done, truncated, _ = env.step(action)
         env.render()
     assert 0.0 <= float(reward) <= 1.0
-
-
-def test_ppo_trains_on_several_environments_with_a_whole_configuration() -> None:
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.env_util import make_vec_env
-
-    config = {
-        "observation": {"type": "Kinematics", "vehicles_count": 5, "features": ["presence", "x", "y", "vx", "vy"]},
-        "action": {"type": "DiscreteMetaAction"},
-        "lanes_count": 3, "vehicles_count": 8, "duration": 20, "initial_spacing": 2, "collision_reward": -1,
-        "reward_speed_range": [20, 30], "simulation_frequency": 15, "policy_frequency": 2,
-        "other_vehicles_type": "highway_env.vehicle.behavior.IDMVehicle", "screen_width": 600, "screen_height": 150,
-        "centering_position": [0.3, 0.5], "scaling": 5.5, "show_trajectories": False, "render_agent": True,
-        "offscreen_rendering": False,
-    }  # fmt: skip
-    envs = make_vec_env("sumo/highway-v0", n_envs=2, env_kwargs={"config": config})
-    model = PPO("MlpPolicy", envs, n_steps=8, batch_size=8, n_epochs=1)
-    model.learn(16)
-    envs.close()
-
-
-def test_the_classes_are_found_below_the_package() -> None:
-    """As ``import highway_env`` finds ``highway_env.envs.HighwayEnv``."""
-    assert sumo_env.envs.HighwayEnv is HighwayEnv
 
 
 class OwnReward(HighwayEnv):
@@ -106,20 +80,6 @@ def test_a_subclass_has_its_own_reward_and_id() -> None:
     assert truncated and len(env.unwrapped.road.vehicles) == 1 + FEW["vehicles_count"]
     with pytest.raises(ConfigError, match="did you mean 'gap_reward'"):
         env.unwrapped.configure({"gap_rewards": 7.0})
-
-
-def test_a_film_is_recorded_with_every_simulation_step(tmp_path: Path) -> None:
-    pytest.importorskip("moviepy")
-    env: Any = gym.make("sumo/highway-fast-v0", render_mode="rgb_array")
-    env.unwrapped.config["simulation_frequency"] = 15
-    env.unwrapped.config["duration"] = 2
-    env = RecordVideo(env, video_folder=str(tmp_path), episode_trigger=lambda e: True)
-    env.unwrapped.set_record_video_wrapper(env)
-    env.reset()
-    while not any(env.step(3)[2:4]):
-        pass
-    env.close()
-    assert list(tmp_path.glob("*.mp4"))
 
 
 def test_rules_of_distance_and_lane_drive() -> None:
@@ -211,16 +171,3 @@ def test_one_configuration_serves_several_roads(road: str, recwarn: pytest.Warni
     assert "'see_ego' has no effect" in told and "'actions' has no effect" in told
     with pytest.raises(ConfigError, match="did you mean 'absolute'"):
         env.unwrapped.configure({"observation": {**config["observation"], "absolut": True}})
-
-
-def test_an_attack_normalises_with_what_the_observation_type_has() -> None:
-    sumo_env.register_highway_envs()
-    env: Any = gym.make("sumo/highway-v0", config=FEW).unwrapped
-    observation, _ = env.reset(seed=0)
-    kind = env.observation_type
-    low, high = kind.features_range["x"]
-    x = low + (observation[0, kind.features.index("x")] + 1) * (high - low) / 2
-    assert kind.normalize and kind.clip and kind.vehicles_count == len(observation)
-    assert x == pytest.approx(min(env.vehicle.position[0], high), abs=1e-3)
-    with pytest.raises(AttributeError, match="'vehicle' can only be read"):
-        env.vehicle = env.road.vehicles[1]

@@ -9,11 +9,21 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from highway_env.envs.common.observation import ObservationType, observation_factory
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.controller import MDPVehicle
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
-from sumo_env.actions import Situation, ego_route
+from sumo_env.actions import (
+    NAMES,
+    DiscreteMetaAction,
+    Situation,
+    ego_route,
+    target_lane,
+    target_speed_index,
+)
 from sumo_env.config import resolve
 from sumo_env.interface import interface
+from sumo_env.networks.roads import highway
 from sumo_env.tasks import TASKS
 from tests.tasks import highway_env_task
 
@@ -120,3 +130,34 @@ def test_a_ladder_that_is_not_given_is_the_tasks(task: str) -> None:
     config = resolve(task, TASKS[task].defaults, {"action": {"type": "DiscreteMetaAction"}})
     assert interface(TASKS[task], config).action_type.target_speeds == TASKS[task].target_speeds
     assert ENVIRONMENTS[task](config).vehicle.target_speeds.tolist() == list(TASKS[task].target_speeds)
+
+
+SPEEDS = (20.0, 25.0, 30.0)
+
+
+def test_target_speeds_and_lanes_equal_highway_env_s() -> None:
+    """Any sequence of actions, wherever on the road the vehicle is and however fast."""
+    road = highway(4)
+    theirs: Any = MDPVehicle(Road(RoadNetwork.straight_road_network(4)), [200.0, 4.0], speed=25.0)
+    rng = np.random.default_rng(0)
+    index, lane = theirs.speed_index, ("0", "1", 1)
+    changed = 0
+    for _ in range(500):
+        name = str(rng.choice(["LANE_LEFT", "LANE_RIGHT", "FASTER", "SLOWER", "IDLE"]))
+        theirs.speed = float(rng.uniform(15.0, 35.0))
+        theirs.position = np.array([rng.uniform(100.0, 900.0), rng.uniform(-1.0, 13.0)])
+        x, y = theirs.position.tolist()
+        theirs.act(name)
+        index = target_speed_index(name, index, theirs.speed, SPEEDS)
+        before, lane = lane, target_lane(name, road, lane, ("0", "1"), x, y)
+        changed += lane != before
+        assert (index, lane) == (theirs.speed_index, theirs.target_lane_index), name
+    assert changed > 50
+
+
+@pytest.mark.parametrize("names", NAMES.values())
+def test_actions_are_known_by_caution(names: dict[int, str]) -> None:
+    ordered = [names[action] for action in DiscreteMetaAction(names, SPEEDS).by_caution]
+    assert ordered == [
+        name for name in ("SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT") if name in names.values()
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -14,12 +15,14 @@ import numpy as np
 import pytest
 
 import sumo_env
+from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.networks.lanes import StraightLane
 from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import Road
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import Replica
+from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.u_turn import UTurn
@@ -212,22 +215,100 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_sumo_writes_its_files(tmp_path: Path) -> None:
-    """Of an environment in this process, and of one in a worker; what these show is what they show without."""
-    files = [(tmp_path / f"trips{k}.xml", tmp_path / f"loop{k}.xml") for k in range(2)]
-    envs = [gym.make("sumo/highway-v0", config={"vehicles_count": 5})]
-    for trips, loop in files:
-        detectors = loop.with_suffix(".add.xml")
-        element = f'<inductionLoop id="loop" lane="0-1_0" pos="400" period="1" file="{loop}"/>'
-        detectors.write_text(f"<additional>{element}</additional>")
-        options = ["--tripinfo-output", str(trips), "--tripinfo-output.write-unfinished"]
-        options.append(f"--additional-files={detectors}")
-        envs.insert(0, gym.make("sumo/highway-v0", config={"vehicles_count": 5}, sumo_options=options))
-    *seen, plain = [observations(env) for env in envs]
-    for one in seen:
-        np.testing.assert_array_equal(one, plain)
-    for env in envs:
+    """Of an environment in this process, and of one in a worker."""
+    files = [tmp_path / f"trips{k}.xml" for k in range(2)]
+    envs = [
+        gym.make("sumo/highway-v0", config={"vehicles_count": 5},
+                 sumo_options=["--tripinfo-output", str(file), "--tripinfo-output.write-unfinished"])
+        for file in files
+    ]  # fmt: skip
+    first, second = map(observations, envs)
+    np.testing.assert_array_equal(first, second)
+    for env, file in zip(envs, files, strict=True):
         env.close()
-    for trips, loop in files:
-        known = {trip.get("id") for trip in ElementTree.parse(trips).findall("tripinfo")}
+        known = {trip.get("id") for trip in ElementTree.parse(file).findall("tripinfo")}
         assert known == {"ego", *(f"v{k}" for k in range(5))}
-        assert ElementTree.parse(loop).findall("interval")
+
+
+class Random(Highway):
+    """It draws from a generator that no seed sets."""
+
+    def vehicles(self, *arguments: Any) -> list[Any]:
+        return [spec._replace(speed=20 + random.random()) for spec in super().vehicles(*arguments)]
+
+
+class Dosed(Highway):
+    """Its vehicles are slower where they are risky."""
+
+    def vehicles(self, config: Any, *arguments: Any) -> list[Any]:
+        specs = super().vehicles(config, *arguments)
+        return [spec._replace(speed=spec.speed - config["risk"]) for spec in specs]
+
+
+class Weightless(Highway):
+    """One term has no weight, another is no number."""
+
+    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+        return {**super().rewards(ego, config), "gap_reward": 1.0, "collision_reward": float("nan")}
+
+
+class Own(Highway):
+    """It weighs its terms itself, and they may have any name."""
+
+    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+        return {"progress": ego.s / 100.0}
+
+    def reward(self, rewards: dict[str, float], config: Any) -> float:
+        return rewards["progress"]
+
+
+@pytest.mark.parametrize("task", [*TASKS.values(), Own()], ids=lambda task: task.name)
+def test_tasks_without_a_fault_have_none(task: Any) -> None:
+    sumo_env.check_task(task, {"risk": 1.0})
+
+
+class Changing(Highway):
+    """A term that comes and goes."""
+
+    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+        return {**super().rewards(ego, config), **({"headway_reward": 1.0} if ego.action == 1 else {})}
+
+
+class Remembering(Highway):
+    """What it has seen before decides what it pays."""
+
+    steps = 0
+
+    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+        self.steps += 1
+        return {**super().rewards(ego, config), "high_speed_reward": 1.0 / self.steps}
+
+
+class Nowhere(Highway):
+    """A vehicle beside the road, and an ego of another name."""
+
+    def ego(self, *arguments: Any) -> Any:
+        return super().ego(*arguments)._replace(id="me")
+
+    def vehicles(self, *arguments: Any) -> list[Any]:
+        first, *others = super().vehicles(*arguments)
+        return [first._replace(lane=("0", "1", 9)), *others]
+
+
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
+        (Random(), ["a seed gives two scenarios: draw from rng"]),
+        (Dosed(), ["1 fault(s)", "the dose of risk moves vehicles"]),
+        (Weightless(), ["'gap_reward' of the reward has no weight", "'collision_reward' is nan"]),
+        (Changing(), ["differ between steps"]),
+        (Remembering(), ["1 fault(s)", "a seed gives two episodes"]),
+        (Highway, ["not <class"]),
+        (type("Uneven", (Highway,), {"target_speeds": (20.0, 21.0, 30.0)})(), ["not evenly spaced"]),
+        (Nowhere(), ["the ego is called 'me'", "no lane ('0', '1', 9) for 'v0'"]),  # before SUMO sees them
+    ],
+)
+def test_faults_are_named(task: Any, words: list[str]) -> None:
+    with pytest.raises(ConfigError) as error:
+        sumo_env.check_task(task, {"vehicles_count": 5})
+    assert [word for word in words if word not in str(error.value)] == [], error

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import car_id
+from tests.processes import ended
 from tests.sumo_env.fleets import mismatch
 from tests.sumo_env.plans import build, floating_car_data, needs_sumo, route_file
 
@@ -47,14 +50,10 @@ def driven(env: Any, seed: int, most: int = 100) -> list[Any]:
 
 @pytest.mark.parametrize("kind", ["sumo", "replica"])
 @pytest.mark.parametrize("task", MOST)
-def test_petting_zoo_accepts_all_tasks(kind: str, task: str) -> None:
-    env = several(kind, task, MOST[task])
-    parallel_api_test(env, num_cycles=15)
-
-
-@pytest.mark.parametrize("task", MOST)
-def test_seeds_decide_on_episodes(task: str) -> None:
-    parallel_seed_test(lambda: several("sumo", task, 2), num_cycles=10)
+def test_petting_zoo_accepts_all_tasks_and_seeds_decide_on_episodes(kind: str, task: str) -> None:
+    parallel_api_test(several(kind, task, MOST[task]), num_cycles=15)
+    if kind == "sumo":
+        parallel_seed_test(lambda: several(kind, task, 2), num_cycles=10)
 
 
 @pytest.mark.parametrize("kind", ["sumo", "replica"])
@@ -95,8 +94,7 @@ def test_a_vehicle_that_matters_to_one_of_the_cars_is_simulated() -> None:
     config = {**DrivingEnv("highway", {"vehicles_count": 100, "duration": 5}).config}
     one, two = (get_task("highway").scenario({**config, "controlled_vehicles": count}, 0) for count in (1, 2))
     furthest = [max(spec.s for spec in drawn.vehicles if spec.concerns_ego) for drawn in (one, two)]
-    assert furthest[1] > furthest[0] + 500.0
-    assert not all(spec.concerns_ego for spec in one.vehicles)
+    assert furthest[1] > furthest[0] + 500.0 and not all(spec.concerns_ego for spec in one.vehicles)
 
 
 def test_two_cars_that_touch_have_both_crashed() -> None:
@@ -143,16 +141,6 @@ def test_the_first_rows_of_a_scene_are_the_cars() -> None:
         assert env.cars[agent].sumo.vehicle.getPosition(name)[1] == -env.cars[agent].scene.y[0]
 
 
-@pytest.mark.parametrize(("kind", "is_one"), [("sumo", False), ("replica", True)])
-def test_on_the_replica_all_are_paid_what_the_first_car_is(kind: str, is_one: bool) -> None:
-    """As in highway-env; on SUMO each by its own speed and lane."""
-    env = several(kind, "highway", 2)
-    env.reset(seed=0)
-    rewards = env.step({"car_0": 4, "car_1": 3})[1]
-    assert (rewards["car_0"] == rewards["car_1"]) == is_one
-    assert rewards["car_0"] == env.cars["car_0"]._reward(4)
-
-
 # -- tuples --------------------------------------------------------------------------------------------------------
 
 
@@ -165,23 +153,15 @@ def tuples(action: dict[str, Any], observation: dict[str, Any], **keys: Any) -> 
 
 
 META, CONTINUOUS, SEEN = {"type": "DiscreteMetaAction"}, {"type": "ContinuousAction"}, {"type": "Kinematics"}
-STANDING = (
-    0.2  # [m/s] highway-env's steering divides by the speed: the rounding of a car that hardly moves grows
-)
+LADDER = {**META, "lateral": False, "target_speeds": [0, 4.5, 9]}
+# [m/s] highway-env's steering divides by the speed: the rounding of a car that hardly moves grows
+STANDING = 0.2
 CASES = {
     "highway": ("highway-v0", tuples(META, SEEN, controlled_vehicles=3, vehicles_count=20)),
     "highway-fast": ("highway-fast-v0", tuples(META, SEEN, controlled_vehicles=2)),
     "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "grid": ("highway-v0", tuples({"type": "DiscreteAction"}, SEEN, controlled_vehicles=2, vehicles_count=8)),
-    "four arms": (
-        "intersection-v0",
-        tuples(
-            {**META, "lateral": False, "target_speeds": [0, 4.5, 9]},
-            SEEN,
-            controlled_vehicles=4,
-            destination=None,
-        ),
-    ),
+    "four arms": ("intersection-v0", tuples(LADDER, SEEN, controlled_vehicles=4, destination=None)),
     "intersection": ("intersection-multi-agent-v0", None),
     "each its own": ("intersection-multi-agent-v1", None),
     "connected": ("intersection-multi-agent-v2", None),
@@ -221,6 +201,21 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
             assert found[0][2:4] == found[1][2:4]
             is_over, compared = bool(np.all(found[0][2])) or found[0][3], compared + 1
     assert compared >= 15
+
+
+@pytest.mark.parametrize("id", ["highway-v0", "intersection-v0"])
+def test_available_actions_of_tuples_are_tuples(id: str) -> None:
+    """``MultiAgentAction.get_available_actions``: the product of what each car could do now."""
+    config = tuples({**META, "target_speeds": [0, 5, 10]}, SEEN, controlled_vehicles=2)
+    envs: list[Any] = [
+        gym.make(gym.spec(f"{room}{id}"), disable_env_checker=True, config=config)
+        for room in ("replica/", "")
+    ]
+    for seed in range(3):
+        for env in envs:
+            env.reset(seed=seed)
+        ours, theirs = (set(env.unwrapped.get_available_actions()) for env in envs)
+        assert ours == theirs and len(ours) > 1
 
 
 @pytest.mark.parametrize("task", ["highway", "intersection"])
@@ -400,3 +395,22 @@ def test_for_super_suit_all_agents_act_from_the_beginning(road: tuple[Path, Path
     assert found[-1][3].all() and not any(result[3].any() for result in found[:-1])
     assert not any(result[2].any() for result in found)
     envs.close()
+
+
+pytest.importorskip("pettingzoo")
+AT_ONCE = 10
+
+
+@needs_sumo
+@pytest.mark.parametrize(
+    "first", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(10, 300, AT_ONCE))]
+)
+def test_fleets_end_by_themselves_or_by_an_error_of_the_simulator(first: int) -> None:
+    """Nobody arrives who has not driven, is paid more than there is to earn, or touches a car that saw it otherwise."""
+    done = ended("-m", "tests.sumo_env.fleets", first, AT_ONCE)
+    assert done.returncode == 0, done.stderr[-2000:]
+    fleets = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert [fleet["seed"] for fleet in fleets] == list(range(first, first + AT_ONCE))
+    assert {fleet["seed"]: fleet["wrong"] for fleet in fleets if fleet["wrong"]} == {}
+    endings = sum((Counter(fleet["endings"]) for fleet in fleets), Counter[str]())
+    assert {"crash", "arrived", "removed", "pairs"} <= set(endings)

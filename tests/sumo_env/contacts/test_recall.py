@@ -94,7 +94,7 @@ def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[S
 
 # 300 episodes of each task bring a thousand contacts.
 @pytest.mark.parametrize(
-    "number", [pytest.param(20, marks=pytest.mark.slow), pytest.param(300, marks=pytest.mark.long)]
+    "number", [pytest.param(10, marks=pytest.mark.slow), pytest.param(300, marks=pytest.mark.long)]
 )
 def test_the_ego_crashes_when_it_touches_another_vehicle(number: int) -> None:
     contacts, missed, wrong = 0, [], []

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.wrappers import RecordVideo
 
+import sumo_env
 from sumo_env import rendering
 from sumo_env.config import COMMON
 from sumo_env.driving import DrivingEnv
@@ -22,7 +26,7 @@ from sumo_env.rendering.scenery import FILM
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.scene import OBSTACLE as PREFIX
 from sumo_env.scene import OBSTACLE_SIZE, Scene
-from tests.sumo_env.rollout import drive
+from tests.sumo_env.rollout import assert_same_bits, drive
 
 GROUND, ASPHALT, WHITE, _, EGO, FURTHER, OTHER, CRASHED, OBSTACLE, _, IN_EVENT = FILM
 VIEW = {
@@ -90,19 +94,12 @@ def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:
         assert pixel(picture, 115 + dx, dy) == ASPHALT
 
 
-def test_learning_cars_have_the_colour_of_the_ego_in_a_lighter_shade() -> None:
+def test_learning_cars_and_obstacles_have_a_colour_and_size_of_their_own() -> None:
+    box = f"{PREFIX}0"
     now = replace(scene((100, 4, 0), (115, 4, 0), (110, 8, 0), crashed=(1,)), cars=2)
-    picture = draw(now, highway(4), VIEW)
-    assert [pixel(picture, x, y) for x, y in ((99.5, 4), (114.5, 4), (109.5, 8))] == [EGO, FURTHER, OTHER]
-
-
-def test_an_obstacle_is_no_car() -> None:
-    now = replace(
-        scene((100, 4, 0), (115, 4, 0)), ids=("ego", f"{PREFIX}0"), sizes={f"{PREFIX}0": OBSTACLE_SIZE}
-    )
-    picture = draw(now, highway(4), VIEW)
-    assert all(pixel(picture, 115 + dx, 4 + dy) == OBSTACLE for dx in (-0.7, 0.7) for dy in (-0.7, 0.7))
-    assert pixel(picture, 116.3, 4) == ASPHALT
+    picture = draw(replace(now, ids=("ego", "v1", box), sizes={box: OBSTACLE_SIZE}), highway(4), VIEW)
+    assert [pixel(picture, x, y) for x, y in ((99.5, 4), (114.5, 4), (109.3, 8))] == [EGO, FURTHER, OBSTACLE]
+    assert pixel(picture, 108.7, 8) == ASPHALT
 
 
 def test_headings_turn_clockwise_on_the_screen() -> None:
@@ -125,24 +122,6 @@ def test_lanes_are_surfaced_from_end_to_end(road: Any) -> None:
             assert pixel(picture, x, y, ego=aside) in (ASPHALT, WHITE)
 
 
-def test_gaps_between_lanes_are_bridged() -> None:
-    """highway-env's entries end 5.6 m short of the ring; cars are not to cross a meadow there."""
-    road = roundabout()
-    entry, ring = road.lane(("ses", "se", 0)), road.lane(("se", "ex", 1))
-    (x0, y0), (x1, y1) = entry.position(entry.length, 0.0), ring.position(0.0, 0.0)
-    assert math.hypot(x1 - x0, y1 - y0) > 5
-    x, y = (x0 + x1) / 2, (y0 + y1) / 2
-    picture = draw(scene((x - 8, y, 0)), road, VIEW)
-    assert pixel(picture, x, y, ego=(x - 8, y)) == ASPHALT
-
-
-def test_an_environment_that_has_drawn_a_picture_can_be_copied() -> None:
-    env = ReplicaEnv("u-turn", render_mode="rgb_array")
-    env.reset(seed=0)
-    picture = env.render()
-    assert (copy.deepcopy(env).render() == picture).all()
-
-
 @pytest.mark.parametrize("action", [3, np.int64(3), np.array(3)], ids=repr)
 def test_the_action_is_named(action: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """In any form that an agent may give it."""
@@ -156,23 +135,6 @@ def test_the_action_is_named(action: Any, monkeypatch: pytest.MonkeyPatch) -> No
     env.step(action)
     env.render()
     assert said == ["m/s", "FASTER"]
-
-
-def test_words_stand_above_their_ring_and_lines_in_the_corner() -> None:
-    now = scene((100, 4, 0), (115, 4, 0))
-    ring = draw(now, highway(4), VIEW, marked(Mark(EVENT, "v1", "")))
-    named = draw(now, highway(4), VIEW, marked(Mark(EVENT, "v1", "brake")))
-    rows, columns = np.nonzero((ring != named).any(axis=2))
-    assert rows.size and rows.max() <= 103 - 10 * RING and 200 < columns.min() < 250 < columns.max() < 300
-    told = draw(now, highway(4), VIEW, Notes(lines=(("", "1.0 s"), (CRASH, "crash with v1"))))
-    rows, columns = np.nonzero((draw(now, highway(4), VIEW) != told).any(axis=2))
-    assert rows.min() == columns.min() == 0 and 30 < rows.max() < 70 and columns.max() < 150
-
-
-def test_the_bar_shows_how_much_of_the_time_is_over() -> None:
-    for share in (0.0, 0.25, 1.0):
-        bar = draw(scene((100, 4, 0)), highway(4), VIEW, Notes(share=share))[-1]
-        assert (bar == WHITE).all(axis=1).mean() == pytest.approx(share, abs=0.01)
 
 
 @pytest.mark.parametrize("make", [DrivingEnv, partial(ReplicaEnv, scenarios="seeded")])
@@ -194,3 +156,53 @@ def test_notes_say_what_info_says(make: Any, monkeypatch: pytest.MonkeyPatch) ->
                 assert other in drawn[-1].lines[-1][1] and Mark(CRASH, other, other) in drawn[-1].marks
     assert {"", "near miss", CRASH} <= found
     env.close()
+
+
+@pytest.mark.parametrize("id", sumo_env.IDS)
+def test_every_task_renders_in_its_size(id: str) -> None:
+    env = gym.make(id, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step(1)
+    picture = np.asarray(env.render())
+    config = env.get_wrapper_attr("config")
+    assert picture.shape == (config["screen_height"], config["screen_width"], 3)
+    colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
+    assert {FILM.ground, FILM.asphalt, FILM.line, FILM.ego, FILM.other} <= colours
+
+
+def filmed(mode: str | None) -> Any:
+    return gym.make("sumo/highway-v0", render_mode=mode, config={"vehicles_count": 5})
+
+
+def test_without_a_render_mode_there_is_a_warning_and_no_picture() -> None:
+    env = filmed(None)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="rgb_array"):
+        assert env.unwrapped.render() is None
+
+
+def test_watching_changes_nothing() -> None:
+    plain, watched = filmed(None), filmed("rgb_array")
+    assert_same_bits(plain.reset(seed=4), watched.reset(seed=4))
+    for _ in range(5):
+        watched.render()
+        assert_same_bits(plain.step(3), watched.step(3))
+
+
+@pytest.mark.parametrize("by_substep", [False, True])
+def test_films(tmp_path: Path, by_substep: bool) -> None:
+    env = RecordVideo(filmed("rgb_array"), str(tmp_path / "films"), episode_trigger=lambda episode: True)
+    unwrapped: Any = env.unwrapped
+    if by_substep:
+        unwrapped.set_record_video_wrapper(env)
+        unwrapped.configure({"simulation_frequency": 20})
+    env.reset(seed=0)
+    env.step(1)
+    env.step(1)
+    assert len(env.recorded_frames) == (1 + 2 * 20 if by_substep else 1 + 2)
+    assert env.frames_per_sec == (20 if by_substep else 5)
+    frames = np.array(env.recorded_frames)
+    assert all((a != b).any() for a, b in pairwise(frames))
+    env.close()
+    assert (tmp_path / "films" / "rl-video-episode-0.mp4").stat().st_size > 1000
+    assert sumo_env.env.DrivingEnv.metadata["render_fps"] == 5  # of the class: untouched

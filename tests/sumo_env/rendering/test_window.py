@@ -73,19 +73,6 @@ def test_closing_the_window_ends_the_episode_and_the_next_one_has_none() -> None
     env.close()
 
 
-def test_closing_the_window_is_told_to_every_learning_car() -> None:
-    pytest.importorskip("pettingzoo")
-    config = {"vehicles_count": 3, "controlled_vehicles": 2}
-    env = sumo_env.parallel_env("sumo/highway-v0", config, render_mode="human")
-    env.reset(seed=0)
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    with pytest.warns(UserWarning, match="the window was closed"):
-        *_, truncated, infos = env.step({"car_0": 1, "car_1": 1})
-    assert truncated == {"car_0": True, "car_1": True} and env.agents == []
-    assert [infos[agent]["ending"] for agent in truncated] == ["window closed"] * 2
-    env.close()
-
-
 def test_a_copy_goes_on_without_a_window() -> None:
     env = DrivingEnv("highway", {"vehicles_count": 3}, render_mode="human")
     env.reset(seed=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any, NamedTuple
@@ -21,8 +20,7 @@ POSES = 1e-6  # [m], [m/s], [rad] by which poses and speeds may differ
 VALUES = 1e-5  # by which observations (32 bits), rewards and measures may differ
 EQUAL = 1e-6  # by which observations and rewards may differ of highway-env as it is installed
 # highway-env's steering is unstable below this speed: a rounding error, which another processor makes elsewhere, grows
-# sevenfold in every sub-step. From the first vehicle that is slower on, headings agree to SLOW_EQUAL, or to EQUAL where
-# highway-env rounds as the replica does, see `unfused`.
+# sevenfold in every sub-step. From the first vehicle that is slower on, headings agree to SLOW_EQUAL.
 SLOW, SLOW_EQUAL = 0.7, 1e-3  # [m/s], largest difference
 
 
@@ -124,30 +122,6 @@ def has_same_rows(theirs: np.ndarray, ours: np.ndarray) -> bool:
 
 
 # -- the same seed -----------------------------------------------------------------------------------------
-
-
-def unfused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Round each product and each sum in numpy's products of two pairs of numbers, as the replica does.
-
-    Where the processor can, numpy's linear algebra rounds ``a * b + c`` once, and the last bit of a quarter of such
-    products differs. No formula of highway-env changes.
-    """
-    dot, norm = np.dot, np.linalg.norm
-
-    def product(a: Any, b: Any, *more: Any) -> Any:
-        if np.shape(a) == np.shape(b) == (2,):
-            return float(a[0]) * float(b[0]) + float(a[1]) * float(b[1])
-        return dot(a, b, *more)
-
-    def length(x: Any, *more: Any, **options: Any) -> Any:
-        return (
-            math.sqrt(product(x, x))
-            if np.shape(x) == (2,) and not (more or options)
-            else norm(x, *more, **options)
-        )
-
-    monkeypatch.setattr(np, "dot", product)
-    monkeypatch.setattr(np.linalg, "norm", length)
 
 
 def differences(task: str, first: int, episodes: int, config: dict[str, Any]) -> list[tuple[Any, ...]]:

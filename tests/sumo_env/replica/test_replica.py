@@ -1,16 +1,15 @@
-"""The replica as a simulator and as an environment."""
+"""The replica as a simulator; as an environment it is tested in tests/sumo_env/test_env.py."""
 
 from __future__ import annotations
 
 import copy
+import json
 import os
-import pickle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from experiments.backends import make_env
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
@@ -20,6 +19,7 @@ from sumo_env.replica.compiled import compiled
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, power, tan, unary
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
+from tests.processes import python
 from tests.tasks import highway_env_task
 
 SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12}}
@@ -28,20 +28,6 @@ SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12}}
 def make(task: str, **config: Any) -> DrivingEnv:
     env: Any = make_env("replica", task, {**SMALL.get(task, {}), **config}).unwrapped
     return env
-
-
-# -- the environment ------------------------------------------------------------------------------------------
-
-
-@highway_env_task
-def test_it_is_an_environment(task: str) -> None:
-    env = make(task, risk=1.0)
-    check_env(env, skip_render_check=True)
-    assert isinstance(env, DrivingEnv)
-    assert env.config["simulation_frequency"] == 15  # highway-env's
-
-
-# -- the simulator --------------------------------------------------------------------------------------------
 
 
 def start(task: str, seed: int = 0, **config: Any) -> tuple[Replica, Any]:
@@ -100,14 +86,6 @@ def functions(x: float, y: float) -> tuple[float, float, float, float, float]:
     return unary(tan, x), unary(arcsin, x), unary(arctan, x), binary(arctan2, x, y), binary(power, abs(x), y)
 
 
-def stale(folder: Path) -> Path:
-    """Machine code that is older than every source."""
-    index = folder / "kernels.square-1.py311.nbi"
-    index.touch()
-    os.utime(index, (0.0, 0.0))
-    return index
-
-
 def test_stale_machine_code_that_cannot_be_removed_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,7 +95,9 @@ def test_stale_machine_code_that_cannot_be_removed_is_not_used(
         raise PermissionError(path)
 
     monkeypatch.setattr("numba.core.caching.FunctionCache.cache_path", str(tmp_path))
-    index = stale(tmp_path)
+    index = tmp_path / "kernels.square-1.py311.nbi"
+    index.touch()
+    os.utime(index, (0.0, 0.0))  # older than every source
     monkeypatch.setattr(Path, "unlink", refuse)
 
     @compiled
@@ -129,10 +109,38 @@ def test_stale_machine_code_that_cannot_be_removed_is_not_used(
     assert machine_code.stats.cache_path is None and index.exists()
 
 
-def test_a_simulator_can_be_sent_to_another_process() -> None:
-    simulator, scenario = start("u-turn")
-    other = pickle.loads(pickle.dumps(simulator))
-    simulator.reset(scenario)
-    np.testing.assert_array_equal(
-        other.step({"ego": command(scenario)}).scene.x, simulator.step({"ego": command(scenario)}).scene.x
-    )
+EPISODES = """
+import json, sys
+import gymnasium as gym
+import numba
+import numpy as np
+import sumo_env
+from sumo_env.replica.motion import move
+
+task, law = sys.argv[1:]
+options = {"config": {"risk": 1.0}, "scenarios": "seeded", "risk_law": law}
+env = gym.make(f"replica/{task}-v0", **options)
+numbers = [env.reset(seed=3)[0].tolist()]
+for action in (1, 2, 0, 1):
+    observation, reward, *_ = env.step(action)
+    numbers.append([observation.tolist(), reward])
+envs = gym.make_vec(f"replica/{task}-v0", num_envs=2, **options)
+batch = envs.reset(seed=3)[0].tolist(), *(part.tolist() for part in envs.step(np.array([1, 2]))[:4])
+print(json.dumps({"compiled": hasattr(move, "py_func"), "numbers": [numbers, batch]}))
+"""
+
+
+def flat(value: Any) -> list[float]:
+    return [number for part in value for number in flat(part)] if isinstance(value, list) else [float(value)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "law"),
+    [("u-turn", "linear"), pytest.param("intersection", "standard", marks=pytest.mark.long)],
+)
+def test_kernels_as_python_drive_as_compiled_ones_do(task: str, law: str) -> None:
+    compiled = json.loads(python("-c", EPISODES, task, law))
+    plain = json.loads(python("-c", EPISODES, task, law, NUMBA_DISABLE_JIT="1"))
+    assert compiled["compiled"] and not plain["compiled"]
+    np.testing.assert_allclose(flat(plain["numbers"]), flat(compiled["numbers"]), rtol=1e-9, atol=1e-12)

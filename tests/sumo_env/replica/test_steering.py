@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable
 from typing import Any
@@ -17,16 +16,15 @@ from highway_env.envs import RoundaboutEnv, TwoWayEnv
 from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
-from sumo_env.config import warn_once
-from sumo_env.replica.env import ReplicaEnv
-from tests.tasks import highway_env_task, published_task
+from tests.tasks import OF_HIGHWAY_ENV, published_task
 
-from .pairs import EQUAL, SLOW_EQUAL, episode, unfused
+from .pairs import EQUAL, SLOW_EQUAL, episode
 
 FEW = {"highway": 1, "two-way": 2, "roundabout": 1, "intersection": 1, "u-turn": 2}
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
 STEERING: dict[str, Any] = {"type": "ContinuousAction"}
+STEPS = {"type": "DiscreteAction"}
 SHORTER = {"highway": {"duration": 12}}  # highway-env needs half a second for each of its steps
 QUICK = {"simulation_frequency": 15, "policy_frequency": 5, "duration": 6}
 WAYS: list[tuple[str, dict[str, Any]]] = [
@@ -35,16 +33,8 @@ WAYS: list[tuple[str, dict[str, Any]]] = [
     ("roundabout", {**STEERING, "speed_range": [-2.0, 12.0], "clip": False}),
     ("u-turn", {**STEERING, "dynamical": True}),
     ("roundabout", {**STEERING, "dynamical": True}),
-    ("roundabout", {"type": "DiscreteAction"}),
-    (
-        "u-turn",
-        {
-            "type": "DiscreteAction",
-            "actions_per_axis": 4,
-            "longitudinal": False,
-            "steering_range": [-0.1, 0.1],
-        },
-    ),
+    ("roundabout", STEPS),
+    ("u-turn", {**STEPS, "actions_per_axis": 4, "longitudinal": False, "steering_range": [-0.1, 0.1]}),
 ]
 
 
@@ -104,9 +94,7 @@ def different(
     slow: float = SLOW_EQUAL,
 ) -> list[tuple[int, str]]:
     """The episodes that are not those of highway-env: seed, and what differs."""
-    envs = pair(
-        task, {"observation": TABLE, **config} if version == 0 or task != "intersection" else config, version
-    )
+    envs = pair(task, config if version else {"observation": TABLE, **config}, version)
     found = [(seed, episode(*envs, seed, act, slow)) for seed in seeds]
     return [entry for entry in found if entry[1]]
 
@@ -147,68 +135,19 @@ def test_later_versions_are_those_of_highway_env(id: str) -> None:
     assert found == []
 
 
+MANY: list[tuple[str, int, Any]] = [
+    (task, 0, act) for task in OF_HIGHWAY_ENV for act in (wild, along_the_road)
+]
+MANY += [(sumo_env.task_of(id), sumo_env.version_of(id), wild) for id in sumo_env.LATER_IDS]
+
+
 @pytest.mark.long
-@highway_env_task
-def test_steered_episodes_are_the_same_in_99_percent(task: str) -> None:
-    """To 1e-6 throughout, half of them under any action and half along the road."""
-    quick = {key: value for key, value in QUICK.items() if key != "duration" or task != "two-way"}
-    config = {"action": STEERING, **SHORTER.get(task, {})}
-    found = different(task, range(1000, 1000 + EACH // 2), config, wild, slow=EQUAL)
-    found += different(
-        task, range(2001, 2001 + EACH // 2), {"action": STEERING, **quick}, along_the_road, slow=EQUAL
+@pytest.mark.parametrize(("task", "version", "act"), MANY)
+def test_many_steered_episodes_are_the_same_in_99_percent(task: str, version: int, act: Any) -> None:
+    quick = (
+        {} if act is wild else {key: QUICK[key] for key in QUICK if key != "duration" or task != "two-way"}
     )
-    print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")
+    config = {} if version else {"action": STEERING, **SHORTER.get(task, {}), **quick}
+    found = different(task, range(1000, 1000 + EACH), config, act, version, SLOW_EQUAL if version else EQUAL)
+    print(f"{task}-v{version}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")
     assert len(found) <= 0.01 * EACH
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("slow", "rounds_alike"), [(SLOW_EQUAL, False), (EQUAL, True)])
-@pytest.mark.parametrize("id", sumo_env.LATER_IDS)
-def test_later_versions_are_the_same_in_99_percent(
-    id: str, slow: float, rounds_alike: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """To 1e-6 throughout where highway-env rounds as the replica does; else but for cars that crawl, `pairs.SLOW`."""
-    if rounds_alike:
-        unfused(monkeypatch)
-    envs = pair(sumo_env.task_of(id), {}, sumo_env.version_of(id))
-    found = [
-        (seed, what) for seed in range(1000, 1000 + EACH) if (what := episode(*envs, seed, wild, slow=slow))
-    ]
-    print(f"{id}: {EACH - len(found)} of {EACH} episodes the same to {slow}", *found, sep="\n")
-    assert len(found) <= 0.01 * EACH
-
-
-# -- the type of action --------------------------------------------------------------------------------------------
-
-
-def test_copies_and_scenarios_go_on_as_the_original() -> None:
-    env: Any = gym.make(gym.spec("replica/intersection-v1")).unwrapped
-    env.reset(seed=4)
-    for _ in range(3):
-        env.step([0.2, 0.1])
-    twin = copy.deepcopy(env)
-    again: Any = ReplicaEnv("intersection", version=1)
-    again.reset(options={"scenario": env.scenario})
-    for _ in range(3):
-        again.step([0.2, 0.1])
-    for action in ([1.0, 0.0], [0.0, 0.3]):
-        result = env.step(action)[0]
-        np.testing.assert_array_equal(twin.step(action)[0], result)
-        np.testing.assert_array_equal(again.step(action)[0], result)
-
-
-def test_info_and_the_ego_are_as_in_highway_env() -> None:
-    env: Any = gym.make("replica/highway-v0", config={"action": STEERING}).unwrapped
-    _, info = env.reset(seed=0)
-    assert info["action"].tolist() == [0.0, 0.0]
-    info = env.step(np.array([0.5, -0.25], np.float32))[-1]
-    assert info["action"].dtype == np.float32 and info["action"].tolist() == [0.5, -0.25]
-    assert env.action_type.space() == env.action_space and env.actions == {}
-    assert not hasattr(env.vehicle, "target_speed") and env.vehicle.lane_index[:2] == ("0", "1")
-    assert env.get_available_actions() == []
-
-
-def test_grids_of_speeds_are_not_in_highway_env_either() -> None:
-    warn_once.cache_clear()
-    with pytest.warns(UserWarning, match="'speed_range' has no effect on the action type 'DiscreteAction'"):
-        gym.make("replica/highway-v0", config={"action": {"type": "DiscreteAction", "speed_range": [0, 1]}})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import gzip
 import re
 import subprocess
@@ -10,11 +9,9 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from sumo_env.env import SumoDrivingEnv
-from tests.processes import python
 from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.test_oracle import differences, driven
@@ -77,30 +74,23 @@ CONFIGURATIONS: dict[str, Change] = {  # of the usual traffic; some of them ``su
     "nothing for a value": option("weight-files", "", "input"),
     "settings of the window among the inputs": option("gui-settings-file", "nobody.xml", "input"),
     "end": option("end", "3", "time"),
-    "a seed": option("seed", "3", "random_number"),
-    "random": option("random", "true", "random_number"),
-    "states": option("save-state.times", "3", "output"),
     "words": option("verbose", "true", "report"),
     "a port": option("remote-port", "8813", "traci_server"),
     "a schema": option("xml-validation", "auto", "report"),
-    "trips": option("tripinfo-output", "out.xml", "output"),
     "a prefix": option("output-prefix", "x-", "output"),
     "an output into no folder": option("summary-output", "nowhere/out.xml", "output"),
     "a time with colons": option("begin", "0:00:00", "time"),
 }
 TRAFFIC: dict[str, Change] = {  # that change it
     "threads": option("threads", "2"),
-    "threads of routing": option("device.rerouting.threads", "2", "routing"),
     "twice the traffic": option("scale", "2"),
     "half a second": without('step-length value="1 => step-length value="0.5'),
     "ballistic": option("step-method.ballistic", "true"),
     "sublanes": option("lateral-resolution", "0.8"),
     "lane changes that take time": option("lanechange.duration", "2"),
-    "no noise": option("default.speeddev", "0"),
     "teleports": option("time-to-teleport", "3"),
     "no lanes inside": option("no-internal-links", "true"),
     "all routes at once": option("route-steps", "0", "input"),
-    "who cannot come goes": option("max-depart-delay", "1"),
     "rerouting": option("device.rerouting.probability", "1", "routing"),
 }
 NAMES: dict[str, tuple[dict[str, str], Change]] = {  # other names of files, the configuration's own is "c"
@@ -259,20 +249,6 @@ def test_a_train_on_rails_alone(tmp_path: Path) -> None:
         assert info["rewards"]["arrived_reward"] == 1.0
 
 
-def test_a_copy_of_what_has_threads_goes_on(net: Path, tmp_path: Path) -> None:
-    config = written(tmp_path, net, option("threads", 2)(""), {}, {})
-    env = SumoDrivingEnv(config, ego_vehicle="ego")
-    env.reset(seed=7)
-    with closing(copy.deepcopy(env)) as twin, closing(env):
-        assert np.array_equal(env.step(1)[0], twin.step(1)[0])
-
-
-def test_people_are_said_not_to_be_seen(net: Path, tmp_path: Path) -> None:
-    config = written(tmp_path, net, says()(""), {}, CONTENTS["people"])
-    with pytest.warns(UserWarning, match="on foot"):
-        SumoDrivingEnv(config, ego_vehicle="ego")
-
-
 def test_arguments_of_any_name(
     net: Path, usual: Rows, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -293,31 +269,3 @@ def test_a_link_to_a_configuration(net: Path, usual: Rows, tmp_path: Path) -> No
     config.rename(tmp_path / "elsewhere" / "c.sumocfg")
     config.symlink_to("elsewhere/c.sumocfg")
     assert_drives(config, usual)
-
-
-ODD = """
-import os, sys
-os.chdir(sys.argv[1])
-os.rmdir(sys.argv[1])
-import libsumo
-from sumo_env.env import SumoDrivingEnv
-for _ in range(2):  # the second one is in a worker
-    env = SumoDrivingEnv(os.fsdecode(sys.argv[2].encode("utf-8", "surrogateescape")), ego_vehicle="ego")
-    env.reset(seed=7)
-    print(env.step(1)[0].ravel()[:5])
-"""
-
-
-def test_odd_places(net: Path, tmp_path: Path) -> None:
-    """A working folder that is deleted, the locale C, temporary files in a folder with a variable in its name."""
-    for name in ("gone", "${HOME}, ü"):
-        (tmp_path / name).mkdir()
-    config = written(
-        tmp_path, net, says(net="grün.net.xml")(""), {"c": "größe/c.cfg", "n": "größe/grün.net.xml"}, {}
-    )
-    for name in ("r.rou.xml", "a.add.xml"):
-        (tmp_path / name).rename(config.parent / name)
-    plain_locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "TMPDIR": str(tmp_path / "${HOME}, ü")}
-    first, second = python("-c", ODD, str(tmp_path / "gone"), str(config), **plain_locale).splitlines()
-    assert first == second
-    assert list((tmp_path / "${HOME}, ü").iterdir()) == []

@@ -156,18 +156,6 @@ def test_the_ego_sees_to_whom_it_has_to_give_way(tmp_path: Path, light: str) -> 
         env.close()
 
 
-def test_the_ego_sees_what_it_was_told_last(tmp_path: Path) -> None:
-    """Its type's `accel` and `decel` let it take seconds for it."""
-    seen = {"type": "Kinematics", "features": ["vx", "target_speed"], "vehicles_count": 1, "normalize": False}
-    env = start(road(tmp_path, ""), observation=seen)
-    late = []
-    for action in (SLOWER, SLOWER, SLOWER, FASTER, FASTER):
-        speed, told = env.step(action)[0][0]
-        assert told == pytest.approx(env.target_speeds[env.ego_state.speed_index])
-        late.append(abs(speed - told) > 1.0)
-    assert any(late)
-
-
 def test_an_ego_that_overtakes_on_the_lane_of_oncoming_traffic_makes_progress(tmp_path: Path) -> None:
     """SUMO drives it; there, SUMO counts positions from the other end."""
     roads = ("a 0 0,b 600 0,c 900 0", "ab a b 1 14,ba b a 1 14,bc b c 1 14,cb c b 1 14")

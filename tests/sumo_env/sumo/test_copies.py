@@ -7,6 +7,8 @@ import gc
 import itertools
 import os
 import signal
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -14,18 +16,21 @@ import libsumo
 import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import TASKS
 from tests.processes import children, descriptors, ends
+from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.rollout import assert_same_bits, drive
+from tests.sumo_env.scenario import files
 from tests.sumo_env.sumo.fake import COMMAND, FAKE, scenario
 
 
 def to_the_end(*envs: Any, seed: int = 0) -> None:
     """Drive environments that are in one state by the same random actions, with equal results."""
-    actions = np.random.default_rng(seed).integers(envs[0].action_space.n, size=100).tolist()
+    envs[0].action_space.seed(seed)
+    actions = [envs[0].action_space.sample() for _ in range(100)]
     for first, *others in zip(*(drive(env, actions) for env in envs), strict=True):
         for other in others:
             assert_same_bits(other, first)
@@ -80,6 +85,55 @@ def test_a_copy_goes_on_as_the_original(task: str, level: int, risk: float, seed
     to_the_end(*envs, seed=seed)
     first, *others = [one.reset(seed=seed + 1)[0] for one in envs[1:]]  # a copy can be reset
     assert all(np.array_equal(first, other) for other in others)
+
+
+def begun_in(env: Any, seed: int = 3) -> Any:
+    """Three steps into the second episode."""
+    for one in (seed + 1, seed):
+        env.reset(seed=one)
+        for action in [env.action_space.sample() for _ in range(3)]:
+            env.step(action)
+    return env
+
+
+def of_files(folder: Path, more: str = "", **config: Any) -> Any:
+    file = files.written(folder, "static")
+    file.write_text(file.read_text().replace("<time>", f"{more}<time>"))
+    return begun_in(SumoDrivingEnv(file, ego_vehicle="ego", config={"duration": 12, **config}))
+
+
+def handed_over() -> Any:
+    env: Any = begun_in(DrivingEnv("highway"))
+    env.hand_over()
+    env.step(1)
+    return env
+
+
+def with_pictures(of: str) -> Any:
+    kind = {"type": "GrayscaleObservation", "observation_shape": (32, 24), "stack_size": 2}
+    seen = {**kind, "weights": [0.3, 0.6, 0.1], "scaling": 1.75}
+    return begun_in(gym.make(f"{of}/u-turn-v0", config={"observation": seen}))
+
+
+KINDS: dict[str, Callable[[Path], Any]] = {
+    "SUMO drives since a hand-over": lambda _: handed_over(),
+    "SUMO's own files, at risk": lambda folder: of_files(folder, risk=1.0),
+    "SUMO with threads": lambda folder: of_files(folder, '<processing><threads value="2"/></processing>'),
+    "pictures": lambda _: with_pictures("sumo"),
+    "pictures of the replica": lambda _: with_pictures("replica"),
+    "an agent that steers": lambda _: begun_in(gym.make(gym.spec("replica/intersection-v1"))),
+}
+
+
+@needs_sumo
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", KINDS)
+def test_whatever_is_copied_goes_on(kind: str, tmp_path: Path) -> None:
+    env = KINDS[kind](tmp_path)
+    twin = copy.deepcopy(env)
+    to_the_end(env, twin, copy.deepcopy(twin))
+    for one in (env, twin):
+        one.close()
 
 
 # -- what planners do --------------------------------------------------------------------------------------
@@ -159,15 +213,6 @@ def test_copies_leave_no_process_and_no_descriptor(begun: SumoProcess) -> None:
 
 
 # -- refusals ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("options", [["--tripinfo-output", "trips.xml"], ["--threads=2"]])
-def test_options_that_forbid_copies(options: list[str], tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    env = DrivingEnv("u-turn", sumo_options=options)
-    env.reset(seed=0)
-    with pytest.raises(TypeError, match=f"{options[0][:9]}.* cannot be copied"):
-        copy.deepcopy(env)
 
 
 def test_a_simulation_that_was_changed_through_libsumo_is_not_copied() -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import os
 import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -16,11 +14,10 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo import options
 from tests.processes import children, ends, python
-from tests.sumo_env.plans import build, needs_sumo
+from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.rollout import drive
 
 pytestmark = [
@@ -74,38 +71,6 @@ def test_the_window_changes_nothing(id: str, seeds: int) -> None:
         assert env.sumo.gui.getTrackedVehicle() == "ego"
 
 
-def test_nor_on_a_network_of_one_s_own_in_a_folder_with_a_comma(tmp_path: Path) -> None:
-    folder = tmp_path / "a, b"
-    folder.mkdir()
-    plan = ("a 0 0,b 200 0,c 400 0", "ab a b 2 15,bc b c 2 15", "ab 0 bc 0,ab 1 bc 1")
-    net = build(tmp_path, plan).rename(folder / "net.xml")
-    files: Any = net, [["ab", "bc"]], ["ab", "bc"], {"spawn_probability": 0.5, "duration": 20}
-    ours, theirs = SumoDrivingEnv(*files, live="sumo-gui", sumo_options=HURRIED), SumoDrivingEnv(*files)
-    for seed in range(3):
-        assert_equal(ours, theirs, seed, [IDLE] * 100, risk=1.0)
-    window = window_of(ours)
-    ours.close()
-    assert ends(window)
-    theirs.close()
-
-
-def test_a_copy_goes_on_without_a_window() -> None:
-    env: Any = DrivingEnv("u-turn", live="sumo-gui", sumo_options=HURRIED)
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(IDLE)
-    twin = copy.deepcopy(env)
-    assert not children(twin._simulator.pid)
-    for _ in range(3):
-        ours, theirs = env.step(IDLE), twin.step(IDLE)
-        assert np.array_equal(ours[0], theirs[0]) and ours[1:4] == theirs[1:4]
-    twin.reset(seed=1)
-    window = window_of(env)
-    twin.close()
-    env.close()
-    assert ends(window)
-
-
 def test_closing_the_window_ends_the_episode_and_the_next_one_has_none() -> None:
     env: Any = DrivingEnv("highway", live="sumo-gui", sumo_options=HURRIED)
     env.reset(seed=0)
@@ -131,34 +96,6 @@ def test_a_window_ends_with_a_worker_that_is_killed() -> None:
     with pytest.raises(SimulatorError, match="killed by SIGKILL"):
         env.step(IDLE)
     env.close()
-
-
-def test_without_a_display_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DISPLAY", ":40000")
-    env: Any = DrivingEnv("u-turn", live="sumo-gui")
-    with pytest.raises(SimulatorError, match=r"sumo-gui has opened no window.*DISPLAY"):
-        env.reset(seed=0)
-    env.close()
-
-
-@pytest.mark.parametrize(
-    ("versions", "words"),
-    [
-        ({"libsumo": "1.28.0", "eclipse-sumo": "1.27.0", "traci": "1.27.0"}, "eclipse-sumo is 1.27.0"),
-        ({"libsumo": "1.28.0", "traci": "1.28.0"}, r"eclipse-sumo is missing.*\[gui\]"),
-    ],
-)
-def test_another_version_of_sumo_is_an_error(
-    monkeypatch: pytest.MonkeyPatch, versions: dict[str, str], words: str
-) -> None:
-    def version(name: str) -> str:
-        if name not in versions:
-            raise options.PackageNotFoundError(name)
-        return versions[name]
-
-    monkeypatch.setattr(options, "version", version)
-    with pytest.raises(ImportError, match=words):
-        DrivingEnv("u-turn", live="sumo-gui")
 
 
 def test_a_script_that_ends_leaves_no_window() -> None:

@@ -9,11 +9,9 @@ from typing import Any
 
 import pytest
 
-from sumo_env.config import ConfigError
 from sumo_env.networks.mapping import network
 from sumo_env.sumo import pipe, process
-from sumo_env.traffic import sumo_files
-from tests.processes import python
+from tests.processes import ended, python
 
 # SUMO takes a comma as the end of a name, and ${HOME} as a variable; PYTHONPATH takes a colon as the end of a name.
 NAME = "one, two: ${HOME} $HOME%2C;"
@@ -52,18 +50,6 @@ def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
     assert [path.name for path in folder.iterdir()] == ["sumo_env"]
 
 
-def test_without_a_folder_for_links_the_folders_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert sumo_files.plain_path(tmp_path / "plain") == tmp_path / "plain"
-    link = sumo_files.plain_path(tmp_path / "a,b" / "c")
-    assert "," not in str(link) and link.parent.readlink() == tmp_path / "a,b"
-    monkeypatch.setattr(sumo_files.os, "access", lambda *_: False)
-    monkeypatch.setattr(sumo_files, "_folders", {})
-    with pytest.raises(ConfigError, match=r"TMPDIR \(tried: .*/tmp"):
-        sumo_files.plain_path(tmp_path / "d,e" / "f")
-
-
 def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> None:
     """Nor does it matter what else is in the search path."""
     odd = "import sys, pathlib; sys.executable = None; sys.path += [pathlib.Path('/tmp'), b'/tmp', None]\n"
@@ -78,3 +64,68 @@ def test_a_program_is_found_beside_the_library(executable: Any, monkeypatch: pyt
     assert Path(pipe.interpreter()).resolve() == Path(known).resolve()
     monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/bin/sh")
     assert pipe.interpreter() == "/bin/sh"
+
+
+SCRIPT = """
+import importlib.metadata
+version = importlib.metadata.version
+importlib.metadata.version = lambda name: "99.0.0" if name == "pyarrow" else version(name)
+from sumo_env.env import DrivingEnv
+DrivingEnv("u-turn").reset(seed=0)
+"""
+
+
+def test_another_version_of_pyarrow_prints_nothing() -> None:
+    assert python("-c", SCRIPT) == ""
+
+
+TRAINS = """
+import gymnasium as gym, numpy as np
+CONFIG = {"vehicles_count": 5, "duration": 8}
+if __name__ == "__main__":
+    mine = [gym.make("sumo_env:sumo/highway-v0", config=CONFIG) for _ in range(2)]
+    for env in mine:
+        env.reset(seed=0)
+    ENVIRONMENTS
+    envs.reset()
+    for _ in range(10):
+        envs.step(np.array([1, 1]))
+    envs.close()
+    print(*(env.step(1)[4]["distance"] > 0 for env in mine))
+"""
+
+
+STABLE = """
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+    envs = make_vec_env(
+        "sumo_env:sumo/highway-v0", n_envs=2, vec_env_cls=SubprocVecEnv, env_kwargs={"config": CONFIG},
+        vec_env_kwargs={"start_method": "START_METHOD"},
+    )
+"""
+GYMNASIUM = """
+    make = lambda: gym.make("sumo_env:sumo/highway-v0", config=CONFIG)
+    envs = gym.vector.AsyncVectorEnv([make, make], context="START_METHOD")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("start_method", "makes"),
+    [
+        ("fork", STABLE),
+        ("spawn", GYMNASIUM),  # no torch in every process
+        *(pytest.param(method, STABLE, marks=pytest.mark.long) for method in ("spawn", "forkserver")),
+    ],
+    ids=["fork", "spawn", "spawn-stable", "forkserver"],
+)
+def test_subprocesses_after_the_parent_has_used_sumo(tmp_path: Path, start_method: str, makes: str) -> None:
+    """Only multiprocessing's own start methods need a guard and a file; a notebook has none. No file is left."""
+    text = TRAINS.replace("    ENVIRONMENTS\n", makes).replace("START_METHOD", start_method)
+    file = tmp_path / "script.py"
+    file.write_text(text)
+    program, stdin = ("-", text) if start_method == "fork" else (file, "")
+    done = ended("-W", "ignore::UserWarning", program, cwd=tmp_path, stdin=stdin, TMPDIR=str(tmp_path))
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith("sumo_env-")] == []
+    assert done.stdout.splitlines()[-1] == "True True"

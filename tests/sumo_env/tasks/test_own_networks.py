@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from sumo_env.config import ConfigError
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
-from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import SimulatorError
-from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, endings, grid, needs_sumo, route_file
 from tests.sumo_env.rollout import drive, observations
 
@@ -55,12 +52,6 @@ def merge(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("merge")
     route_file(folder, DEMAND)
     return build(folder, MERGE)
-
-
-def test_what_only_sumo_can_drive_says_so_elsewhere(blocks: Path) -> None:
-    env = DrivingEnv(NetworkTask(blocks, ROUTES, EGO), simulator=Replica())
-    with pytest.raises(TypeError, match="other networks need SUMO"):
-        env.reset(seed=0)
 
 
 def test_lanes_limits_and_junctions_are_read(blocks: Path, merge: Path) -> None:
@@ -129,9 +120,3 @@ def test_what_sumo_refuses_is_an_error_of_the_reset_with_sumo_s_own_words(
     with pytest.raises(SimulatorError, match="SUMO cannot begin") as caught:
         env.reset(seed=0)
     assert words in str(caught.value) + capfd.readouterr().err
-
-
-def test_a_network_without_lanes_inside_its_junctions_is_refused(tmp_path: Path) -> None:
-    net = grid(tmp_path, "--grid.number=2", "--no-internal-links")
-    with pytest.raises(ConfigError, match="no-internal-links"):
-        SumoDrivingEnv(net, [], ["A0A1"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import random
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.networks.mapping import Network
-from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, endings, grid, route_file
 
 sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
@@ -89,18 +87,6 @@ def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Pa
         assert beside <= set(near) and len(near) < len(road.lanes)
 
 
-def test_a_network_that_somebody_has_is_not_read_again(
-    pieces: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copies = [shutil.copy(pieces, tmp_path / f"{number}.net.xml") for number in range(6)]
-    had = [files.network(copy) for copy in copies]
-    with monkeypatch.context() as patched:
-        patched.setattr(files, "_read", None)
-        assert [files.network(copy) for copy in copies] == had
-    Path(copies[0]).write_bytes(pieces.read_bytes() + b"\n")
-    assert files.network(copies[0]) is not had[0]
-
-
 def test_edges_of_a_metre_are_driven_and_turns_missed_beyond_them(pieces: Path) -> None:
     """The left lane ends behind the first of them, within one policy step."""
     env = SumoDrivingEnv(pieces, [WAY], WAY, QUIET)
@@ -119,14 +105,6 @@ def test_vehicles_depart_from_edges_of_a_metre(pieces: Path, tmp_path: Path) -> 
 def test_short_routes_are_driven(pieces: Path) -> None:
     short = SumoDrivingEnv(pieces, [], ["bc", "cd", "de"], QUIET)
     assert endings(short, range(2), 60 * [3]) == {"arrived_reward"}
-
-
-def test_a_task_of_ones_own_keeps_its_target_speeds(pieces: Path) -> None:
-    class Slow(NetworkTask):
-        target_speeds = (3.0, 6.0, 9.0)
-
-    assert Slow(pieces, [], WAY).target_speeds == (3.0, 6.0, 9.0)
-    assert NetworkTask(pieces, [], WAY).target_speeds == (0.0, 7.0, 14.0)
 
 
 @pytest.mark.long

@@ -34,22 +34,6 @@ def entered(episode: list[dict[str, Any]]) -> int:
     return next(k for k, info in enumerate(episode) if info["traffic_light"] == UNLIT)
 
 
-def test_info_names_the_next_light_and_its_distance_and_an_ego_that_need_not_obey_drives_through_red() -> (
-    None
-):
-    episode = list(infos())
-    first = entered(episode)
-    distances = [info["traffic_light_distance"] for info in episode]
-    assert distances[0] == pytest.approx(484.0, abs=3.0)  # the edge is 492 m long
-    driven = np.cumsum([info["distance"] for info in episode])
-    np.testing.assert_allclose(distances[0] - driven[:first], distances[:first], atol=0.1)
-    assert set(distances[first:]) == {np.inf}
-    assert {info["traffic_light"] for info in episode[:first]} == {RED}
-    shapes = {repr({key: type(value) for key, value in info.items()}) for info in episode}
-    assert len(shapes) == 1
-    assert min(info["speed"] for info in episode[20:]) > 10.0
-
-
 def test_an_obedient_ego_waits_at_red_and_goes_on_at_green() -> None:
     episode = list(infos(obey_traffic_lights=True))
     first = entered(episode)
@@ -78,3 +62,17 @@ def test_who_cannot_stop_drives_on() -> None:
     assert speed_before(Light(YELLOW, 19.0), 14.0, 0.1) == np.inf
     assert speed_before(Light(RED, 10.0), 14.0, 0.1) == np.inf
     assert speed_before(Light(GREEN, 5.0), 14.0, 0.1) == speed_before(NO_LIGHT, 14.0, 0.1) == np.inf
+
+
+def test_info_names_the_next_light_and_its_distance_and_an_ego_that_need_not_obey_drives_through_red() -> (
+    None
+):
+    episode = list(infos())
+    first = entered(episode)
+    distances = [info["traffic_light_distance"] for info in episode]
+    assert distances[0] == pytest.approx(484.0, abs=3.0)  # the edge is 492 m long
+    driven = np.cumsum([info["distance"] for info in episode])
+    np.testing.assert_allclose(distances[0] - driven[:first], distances[:first], atol=0.1)
+    assert set(distances[first:]) == {np.inf}
+    assert {info["traffic_light"] for info in episode[:first]} == {RED}
+    assert min(info["speed"] for info in episode[20:]) > 10.0

@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from docs.road_units import Traced, measures
-from sumo_env.config import ConfigError, resolve
 from sumo_env.env import DrivingEnv
-from sumo_env.interface import interface
 from sumo_env.scene import Scene
-from sumo_env.tasks import TASKS, get_task
+from sumo_env.tasks import get_task
 from sumo_env.tasks.base import ego_driver, make_on_lane
-from sumo_env.traffic.drivers import POOL, Driver, DriverPool
+from sumo_env.traffic.drivers import POOL, Driver
 from sumo_env.traffic.measured import ACCEL, DECEL, DELTA, TAU, MeasuredPool, Normal
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 from tests.sumo_env.scenarios import draw
@@ -95,83 +93,7 @@ def test_sumo_drives_these_drivers_in_the_places_of_regular_traffic(task: str) -
         assert env.scenario.events == ()
 
 
-def test_only_sumo_has_them() -> None:
-    with pytest.raises(ConfigError, match="measured drivers are for sumo"):
-        interface(
-            get_task("highway"),
-            resolve("highway", TASKS["highway"].defaults, {"drivers": "measured"}),
-            steers=True,
-        )
-
-
 # -- what they do on the road ------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def pairs() -> tuple[list[Driver], list[Scene]]:
-    """Each driver of the highway, from a standstill, behind a vehicle that drives 20 m/s: 100 s."""
-    task = get_task("highway")
-    road = task.road(task.defaults)
-    regular = DriverPool(task.car_following, 0.0, True).drivers[0]
-    drivers = list(pool("highway").drivers)
-    vehicles = []
-    for k, driver in enumerate(drivers):
-        lane, s = ("0", "1", k % 4), 300.0 + k // 4 * 450.0
-        ahead = make_on_lane(road, f"a{k}", lane, s + 250.0, 20.0, regular, changes_lanes=False)
-        own = make_on_lane(road, f"v{k}", lane, s, 0.0, driver, target_speed=30.0, changes_lanes=False)
-        vehicles += [own, ahead]
-    ego = make_on_lane(road, "ego", ("0", "1", 0), 10.0, 20.0, ego_driver(task))
-    return drivers, drive("highway", vehicles, ego, 150, 1)
-
-
-def of(scenes: list[Scene], name: str) -> np.ndarray:
-    """Place along the highway [m] and speed [m/s] of a vehicle, by scene."""
-    rows = [scene.ids.index(name) for scene in scenes]
-    return np.array([(scene.x[row], scene.speed[row]) for scene, row in zip(scenes, rows, strict=True)])
-
-
-def test_accelerations_from_rest_are_the_published_ones(pairs: tuple[list[Driver], list[Scene]]) -> None:
-    _, scenes = pairs
-    found = [float(of(scenes[10:11], f"v{k}")[0, 1] - of(scenes[:1], f"v{k}")[0, 1]) for k in range(POOL)]
-    assert distances(found, ACCEL).max() < 0.02  # of a speed after 1 s; at 1 m/s IDM's free term is 1e-6
-
-
-def test_time_headways_behind_a_vehicle_are_the_published_ones(
-    pairs: tuple[list[Driver], list[Scene]],
-) -> None:
-    drivers, scenes = pairs
-    found = []
-    for k, driver in enumerate(drivers):
-        (x, v), (ahead, _) = of(scenes[-1:], f"v{k}")[0], of(scenes[-1:], f"a{k}")[0]
-        # IDM's equilibrium: the time gap, without the standstill gap, and what driving below the desired speed adds
-        found.append(((ahead - x - 5.0) * (1.0 - (v / 30.0) ** driver.delta) ** 0.5 - driver.min_gap) / v)
-    assert (
-        distances(found, TAU).max() < 0.05
-    )  # slow drivers are still closing up by some centimetres a second
-
-
-def test_braking_shows_the_published_comfortable_decelerations() -> None:
-    # each driver comes up with 28 m/s to a vehicle that drives 10 m/s; IDM, solved for b where the driver brakes most
-    task = get_task("highway")
-    road = task.road(task.defaults)
-    regular = DriverPool(task.car_following, 0.0, True).drivers[0]
-    vehicles, drivers = [], pool("highway").drivers
-    for k, driver in enumerate(drivers):
-        lane, s = ("0", "1", k % 4), 300.0 + k // 4 * 550.0
-        ahead = make_on_lane(road, f"a{k}", lane, s + 250.0, 10.0, regular, changes_lanes=False)
-        own = make_on_lane(road, f"v{k}", lane, s, 28.0, driver, target_speed=30.0, changes_lanes=False)
-        vehicles += [own, ahead]
-    ego = make_on_lane(road, "ego", ("0", "1", 0), 10.0, 20.0, ego_driver(task))
-    scenes, found = drive("highway", vehicles, ego, 20, 4), []
-    for k, driver in enumerate(drivers):
-        mine, theirs = of(scenes, f"v{k}"), of(scenes, f"a{k}")
-        accel = np.diff(mine[:, 1]) * 10.0
-        now = int(np.argmin(accel))
-        (x, v), (x_ahead, v_ahead) = mine[now], theirs[now]
-        wanted = (x_ahead - x - 5.0) * (1.0 - (v / 30.0) ** driver.delta - accel[now] / driver.accel) ** 0.5
-        root = v * (v - v_ahead) / 2.0 / (wanted - driver.min_gap - v * driver.tau)
-        found.append(root**2 / driver.accel)
-    assert distances(found, DECEL).max() < 0.01
 
 
 def test_lane_changes_are_as_frequent_as_published() -> None:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 from ast import literal_eval
 from collections.abc import Iterable
 from pathlib import Path
 
 import gymnasium as gym
+import pyarrow.parquet as pq
 import pytest
 
 import sumo_env
+from docs import pages
+from docs.pages import filled, page_of, templates
 from sumo_env.config import COMMON, FIXED, WITHOUT_EFFECT
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.network import NetworkTask
-from tests.pages import PAGES, ROOT, TEXTS
+from tests.pages import PAGES, ROOT, TEXTS, section, table
 from tests.processes import python_again
 from tests.tasks import every_task
 
@@ -40,14 +44,13 @@ def page(name: str) -> str:
 
 
 @each_page
-def test_ids_exist(page: Path) -> None:
-    ids = {*sumo_env.IDS, *sumo_env.SUMO_TUPLE_IDS, sumo_env.SUMO_FAST_ID}
-    assert set(re.findall(r"sumo/[a-z-]+-v\d", TEXTS[page])) <= ids
-
-
-@each_page
-def test_commands_exist(page: Path) -> None:
+def test_ids_commands_and_files_exist(page: Path) -> None:
     text = TEXTS[page]
+    assert set(re.findall(r"sumo/[a-z-]+-v\d", text)) <= {
+        *sumo_env.IDS,
+        *sumo_env.SUMO_TUPLE_IDS,
+        sumo_env.SUMO_FAST_ID,
+    }
     for file in re.findall(r"python ([\w/.-]+\.py)", text):
         assert (ROOT / file).is_file(), file
     for module in re.findall(r"python -m ([\w.]+)", text):
@@ -56,10 +59,7 @@ def test_commands_exist(page: Path) -> None:
     for target in re.findall(r"(?:^    |`)make ([a-z-]+)", text, re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"make {target}"
 
-
-@each_page
-def test_files_in_backticks_exist(page: Path) -> None:
-    for path in re.findall(r"`((?:sumo_env|agents|experiments|networks|tests|docs)/[\w/.-]*)`", TEXTS[page]):
+    for path in re.findall(r"`((?:sumo_env|agents|experiments|networks|tests|docs)/[\w/.-]*)`", text):
         assert (ROOT / path).exists(), path
 
 
@@ -85,7 +85,7 @@ def test_links_resolve(page: Path) -> None:
 @pytest.mark.parametrize("block", SNIPPETS)
 @pytest.mark.slow
 def test_a_snippet_runs_when_it_is_copied_alone(block: str, tmp_path: Path) -> None:
-    (tmp_path / "snippet.py").write_text(re.sub(r"learn\(\d+_\d+\)", "learn(600)", block), encoding="utf-8")
+    (tmp_path / "snippet.py").write_text(re.sub(r"learn\(\d+_\d+\)", "learn(150)", block), encoding="utf-8")
     python_again("-c", "import snippet", cwd=tmp_path)
 
 
@@ -130,3 +130,49 @@ def test_a_task_s_page_names_its_keys_its_levels_and_its_reward(task: str) -> No
 def test_keys_that_users_meet_elsewhere_are_named(names: list[str], keys: Iterable[str]) -> None:
     text = "".join(map(page, [*names, "environments/common.md"]))
     assert set(keys) - set(re.findall(r"`(\w+)`", text)) == set()
+
+
+each_template = pytest.mark.parametrize("template", templates(), ids=lambda path: path.name)
+
+
+@each_template
+def test_a_page_is_what_its_template_makes_of_the_results(template: Path) -> None:
+    page = page_of(template)
+    assert TEXTS[page] == filled(template), f"make pages writes {page.relative_to(ROOT)} again"
+
+
+def test_each_page_that_says_so_has_a_template() -> None:
+    made = [page for page in PAGES if TEXTS[page].startswith("<!-- Filled by")]
+    assert sorted(made) == sorted(map(page_of, templates())) != []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_all_lines_of_a_table_have_as_many_cells(page: Path) -> None:
+    for rows in re.findall(r"(?:^\|.*\n)+", TEXTS[page], re.MULTILINE):
+        assert len({line.count("|") for line in rows.splitlines()}) == 1, rows
+
+
+def test_doses_in_units_of_the_road_are_those_of_the_table() -> None:
+    stored = pq.read_table(ROOT / "results" / "road-units.parquet").to_pylist()
+    highway = [line for line in stored if line["task"] == "highway"]
+    assert [line["traffic"] for line in highway] == ["0", "0.25", "0.5", "0.75", "1", "measured"]
+    shown = map(float, pages.road_units("highway", "lane_changes", 2).split(" | "))
+    assert list(shown) == pytest.approx([highway[k]["lane_changes"] for k in (0, 4, 5)], abs=0.0051)
+
+
+def test_the_checks_of_the_validation_are_counted() -> None:
+    verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
+    numbers = [own["counts"] for own in verdict.values()]
+    found = pages.validation()
+    assert found["all"] == sum(sum(own.values()) for own in numbers)
+    assert (
+        found["missed"]
+        == sum(len(own["missed"]) for own in verdict.values())
+        == found["all"] - found["passed"]
+    )
+
+
+def test_the_table_of_all_folders_names_each_published_one() -> None:
+    rows = table(section(TEXTS[ROOT / "docs" / "earlier-studies.md"], "All folders"))
+    published = (path.parent.name for path in (ROOT / "results").glob("*/PUBLISHED.md"))
+    assert sorted(rows) == sorted(f"results/{name}" for name in published)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -45,37 +44,6 @@ def test_a_script_runs(name: str, tmp_path: Path) -> None:
     assert expected in python_again(EXAMPLES / name, *arguments, cwd=tmp_path)
 
 
-def test_the_table_of_arrivals_is_what_was_measured() -> None:
-    """Arrivals at risk 0 / at risk 1 in `arrive.json`; of agents the median of the trainings, of constants the most."""
-    lines = json.loads((EXAMPLES / "arrive.json").read_text(encoding="utf-8"))
-    page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
-    title, _, *table = page.partition("| driver |")[2].partition("\n\n")[0].splitlines()
-    scenarios = dict(zip(title.replace("|", " ").split(), ("ramp", "grid", "town"), strict=True))
-    constants = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
-    drivers = {
-        **{
-            "double DQN of this project": ("dqn",),
-            "DQN of Stable-Baselines3": ("sb3-dqn",),
-            "SUMO": ("SUMO",),
-        },
-        **{"careful driver of `agents/rules`": ("careful",), "always IDLE": ("IDLE",)},
-        "the best constant action": constants,
-    }
-    cells = 0
-    for row in table:
-        driver, *shown = [cell.strip() for cell in row.strip("|").split("|")]
-        names = drivers.pop(driver)
-        several = max if names == constants else median
-        for scenario, cell in zip(scenarios.values(), shown, strict=True):
-            of = [
-                lines[key] for key in lines for name in names if f"{key}/".startswith(f"{scenario}/{name}/")
-            ]
-            counts = [[line[f"risk {risk}"].get("arrived", 0) for line in of] for risk in (0, 1)]
-            assert cell == (" / ".join(f"{several(arrived):g}" for arrived in counts) if of else "")
-            cells += bool(of)
-    assert not drivers and cells == 17  # Braunschweig: one of the two learners
-
-
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     notebook = json.loads((EXAMPLES / "tour.ipynb").read_text(encoding="utf-8"))
@@ -96,26 +64,6 @@ def test_a_scenario_is_short_and_can_be_trained(name: str, tmp_path: Path) -> No
     python_again(script, "--steps", "20", "--episodes", "2", "--picture", "a.png", cwd=tmp_path)
     rows = json.loads((tmp_path / "results.json").read_text())
     assert rows[name]["episodes"] == 2 and (tmp_path / "a.png").is_file()
-
-
-def test_cars_of_a_platoon_are_paid_their_mean_and_end_in_a_crash() -> None:
-    """Beside PettingZoo's environment: the same rewards, and zeros for cars that have crashed."""
-    code = """
-import platoon, train
-one, other = train.Several(platoon.make()), platoon.make()
-rows, _ = one.reset(seed=0)
-other.reset(seed=0)
-left = set()
-while other.agents:
-    seen, rewards, *_ = other.step({agent: [1.0] for agent in other.agents})
-    rows, reward, over, _, info = one.step([1.0])
-    assert abs(reward - sum(rewards.values()) / 3) < 1e-9 and over == (not other.agents)
-    for agent, row in zip(other.possible_agents, rows):
-        assert (row == (seen[agent] if agent in other.agents else 0.0)).all()
-    left.add(len(other.agents))
-print(info, sorted(left))
-"""
-    assert python_again("-c", code, cwd=SCENARIOS).startswith("{'crashed': True} [0, ")
 
 
 def test_the_page_has_what_the_scenarios_gave() -> None:

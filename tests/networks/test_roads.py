@@ -149,9 +149,3 @@ def test_same_next_lane(pair):
             x, y = map(float, lane.position(lane.length + rng.uniform(-2.5, 2.0), rng.normal(0, 2)))
             expected = theirs.next_lane(index, plan if goal else None, np.array([x, y]))
             assert ours.next_lane(index, (index[0], *path), x, y) == expected
-
-
-@pytest.mark.parametrize("wrong", [lambda: roads.highway(0), lambda: roads.two_way(-1.0)])
-def test_impossible_roads_are_refused(wrong):
-    with pytest.raises(ValueError):
-        wrong()

@@ -118,12 +118,8 @@ def _onward(network: Network, index: LaneIndex) -> set[LaneIndex]:
 
 @lru_cache(maxsize=8)
 def _read(path: Path, changed: int) -> Network:
-    """The network of a file that was changed last at a time."""
     net, left_hand = read_net(path), _is_left_hand(path)
-    sumo_lanes = {
-        name: replace(found, drawn=found.length) if min(found.length, found.drawn) < SHORT else found
-        for name, found in sumo_lanes_of(net).items()
-    }
+    sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     ordinary = [edge for edge in net.getEdges(withInternal=False) if not edge.isSpecial()]
     drivers = _drivers(sumo_lanes[part.getID()] for edge in ordinary for part in edge.getLanes())
     lanes: dict[LaneIndex, Lane] = {}
@@ -202,6 +198,11 @@ def _lights(part: Any) -> tuple[tuple[str, int], ...]:
     """See `Road.stops`."""
     joints = [joint for joint in part.getOutgoing() if joint.getTLSID()]
     return tuple(sorted({(joint.getTLSID(), int(joint.getTLLinkIndex())) for joint in joints}))
+
+
+def _to_scale(found: SumoLane) -> SumoLane:
+    """With SUMO's length as the drawn length of a short lane, because their ratio is meaningless there."""
+    return replace(found, drawn=found.length) if min(found.length, found.drawn) < SHORT else found
 
 
 def _distinct(points: Sequence[Point]) -> list[Point]:

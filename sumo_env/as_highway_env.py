@@ -17,8 +17,8 @@ from sumo_env.config import STOCK_FREQUENCY, Config, resolve
 from sumo_env.hints import NEVER_CALLED, missing, page
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
-from sumo_env.tasks.base import EgoState
-from sumo_env.traffic.scenario import VehicleSpec
+from sumo_env.tasks.base import EgoState, Task
+from sumo_env.traffic.scenario import Scenario, VehicleSpec
 from sumo_env.views import RoadView, Vehicle, View, only_read, road_view
 
 
@@ -64,8 +64,8 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     default_config: Any
     PERCEPTION_DISTANCE = PERCEPTION_DISTANCE  # [m]
-    task: Any
-    scenario: Any
+    task: Task
+    scenario: Scenario | None
     _is_raised = False  # whether the frequency of the simulation only follows that of the policy
     scene: Scene
     steps: int
@@ -165,6 +165,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
                 "target_speed": self.target_speeds[self._speed_index],
                 "target_speeds": np.array(self.target_speeds),
             }
+            assert self.scenario is not None  # as there is a target lane
             self._view = road_view(
                 self.scene,
                 self._road,

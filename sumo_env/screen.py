@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from sumo_env.as_highway_env import ReadAsHighwayEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoStep
-from sumo_env.tasks.base import Task
-from sumo_env.traffic.scenario import Scenario
 
 if TYPE_CHECKING:
     from gymnasium.wrappers import RecordVideo
@@ -26,8 +24,6 @@ class OnScreen(ReadAsHighwayEnv):
 
     metadata: dict[str, Any]
     render_mode: str | None
-    scenario: Scenario | None
-    task: Task
     _met: EgoStep | None = None  # what the first car of the scene has met in this policy step
     _video: RecordVideo[Any, Any] | None = None
     _window: Window | None = None  # of render mode "human"

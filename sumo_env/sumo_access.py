@@ -22,7 +22,6 @@ from sumo_env.sumo.options import OUTPUT_DIR, check_live, check_options
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo
 from sumo_env.sumo.settings import file_settings
-from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.file_checks import check_outputs
 from sumo_env.traffic.scenario import Scenario
@@ -32,8 +31,6 @@ from sumo_env.traffic.sumo_files import is_output, temporary_folder
 class OwnSumo(ReadAsHighwayEnv):
     """The part of `DrivingEnv` that starts its SUMO and hands it out."""
 
-    task: Task
-    scenario: Scenario | None
     _given: Simulator | None
     _simulator: Simulator | None
     _options: tuple[str, ...]

@@ -131,7 +131,6 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "answered": bool(risky) and risky["status"] == OK,
         "risky": risky,
         "settings": risky.get("settings", 0),
-        "agents": len(own),
         "where": [
             {
                 **{"words": words, "simulator": place[0], "traffic": place[1]},

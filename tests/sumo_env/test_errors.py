@@ -33,9 +33,12 @@ TABLE, STEPS = {"type": "Kinematics"}, {"type": "DiscreteAction"}
 WEIGHTS = [0.3, 0.6, 0.1]
 PICTURES = {"type": "GrayscaleObservation", "observation_shape": [9, 9], "stack_size": 1, "weights": WEIGHTS}
 WRONG_PICTURES: list[tuple[str, Any]] = [
-    ("stack_size", 0), ("observation_shape", [128.5, 64]), ("observation_shape", [128]), ("weights", [1.0]),
-    ("scaling", -1), ("centering_position", [0.5]),
-]  # fmt: skip
+    ("stack_size", 0),
+    ("observation_shape", [128.5, 64]),
+    ("weights", [1.0]),
+    ("scaling", -1),
+    ("centering_position", [0.5]),
+]
 
 
 def acts(kind: dict[str, Any], **more: Any) -> dict[str, Any]:

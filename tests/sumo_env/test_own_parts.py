@@ -217,11 +217,9 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
 def test_sumo_writes_its_files(tmp_path: Path) -> None:
     """Of an environment in this process, and of one in a worker."""
     files = [tmp_path / f"trips{k}.xml" for k in range(2)]
-    envs = [
-        gym.make("sumo/highway-v0", config={"vehicles_count": 5},
-                 sumo_options=["--tripinfo-output", str(file), "--tripinfo-output.write-unfinished"])
-        for file in files
-    ]  # fmt: skip
+    options = [["--tripinfo-output", str(file), "--tripinfo-output.write-unfinished"] for file in files]
+    few = {"vehicles_count": 5}
+    envs = [gym.make("sumo/highway-v0", config=few, sumo_options=one) for one in options]
     first, second = map(observations, envs)
     np.testing.assert_array_equal(first, second)
     for env, file in zip(envs, files, strict=True):

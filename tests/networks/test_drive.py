@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
 
-from sumo_env.networks.mapping import network
+from sumo_env.networks.mapping import Network, network
 from sumo_env.tasks import TASKS
 from tests.tasks import every_task
 
@@ -20,6 +21,16 @@ def _speed(task: str) -> float:
     """The highest that somebody drives [m/s]: the limit, or the ego."""
     limits = [lane.speed_limit for lane in network(task).road.lanes.values()]
     return max(*limits, *TASKS[task].target_speeds)
+
+
+def _leads(net: Network, lane: str, edges: Sequence[str]) -> bool:
+    """Whether a lane leads along the edges of a route without a change of lanes; those inside a crossing do."""
+    lanes, edge = {lane}, lane.rpartition("_")[0]
+    for following in edges[edges.index(edge) + 1 :] if edge in edges else ():
+        joints = {joint for name in lanes for joint in net.sumo_lanes[name].following}
+        after = {net.sumo_lanes[joint].following[0] for joint in joints}
+        lanes = {name for name in after if name.rpartition("_")[0] == following}
+    return bool(lanes)
 
 
 def _drive(task: str) -> list[dict]:
@@ -42,7 +53,7 @@ def _drive(task: str) -> list[dict]:
         if (task, index) == ("two-way", ("a", "b", 0)) or lane.forbidden:
             continue  # no lane of SUMO's, and a ramp, at whose end stands who does not change lanes
         for key in [key for key in net.routes if key.startswith(f"{index[0]}-{index[1]}>")]:
-            if net.leading_on(key, net.lanes[index].id) != key:
+            if not _leads(net, net.lanes[index].id, net.routes[key]):
                 continue  # where lanes part, this one leads to another end
             car, destination, s = f"{index} {key}", key.split(">")[1], min(lane.length / 2, 60.0)
             route, start, position = net.place(index, s, destination)

@@ -24,7 +24,7 @@ from sumo_env.interface import ending
 from sumo_env.scene import Place
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import drive, leaves
-from tests.tasks import every_task
+from tests.tasks import highway_env_task
 
 # highway-env's observation boxes are unbounded tables as well
 EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity", "unconventional shape")
@@ -65,7 +65,7 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
 # -- configuration -----------------------------------------------------------------------------------------
 
 
-@every_task
+@highway_env_task
 def test_sumo_never_drives_backwards(task: str) -> None:
     env = DrivingEnv(task)
     env.reset(seed=0)

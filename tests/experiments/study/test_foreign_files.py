@@ -215,6 +215,20 @@ def test_a_reader_that_leaves_is_no_problem(
     assert (ended.value.code, capsys.readouterr().err) == (1, "")
 
 
+def test_a_name_does_not_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever a command prints, and however."""
+    words, shown = "\x1b]0;evil\x07 and\u202e other words", "\\x1b]0;evil\\x07 and\\u202e other words\n"
+
+    def command() -> int:
+        print(words)
+        print(words, file=sys.stderr)
+        raise UserError(words)
+
+    with pytest.raises(SystemExit):
+        run_command(command)
+    assert capsys.readouterr() == (shown, f"{shown}error: {shown}")
+
+
 def test_weights_and_values_are_numbers(tmp_path: Path) -> None:
     space = gym.spaces.Box(-1, 1, (2, 5), np.float32)
     network = DuelingMLP(space, 5)

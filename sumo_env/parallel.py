@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
@@ -12,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from sumo_env.config import Config, ConfigError
+from sumo_env.config import ConfigError
 from sumo_env.driving import DrivingEnv
 from sumo_env.networks import files
 from sumo_env.several import REPLICA, Cars, Seen, asked
@@ -20,7 +19,6 @@ from sumo_env.tasks import TASKS
 from sumo_env.tasks.asked import OPTIONS
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
-from sumo_env.traffic.scenario import Origin, Scenario
 
 try:
     from pettingzoo import ParallelEnv
@@ -30,49 +28,6 @@ except ModuleNotFoundError as error:
         "several learning cars need PettingZoo, which is not installed: pip install pettingzoo",
         name=error.name,
     ) from None
-
-
-class FleetTask(NetworkTask):
-    """Vehicles of SUMO's files that are learning cars.
-
-    Args:
-        network, routes, additional: as of `sumo_env.env.SumoDrivingEnv`.
-        vehicles: ids of vehicles of the files.
-        vehicle_type: in place of ids, the type of the learning cars.
-        max_cars: with a type, how many of those that depart are learning cars; SUMO drives later ones.
-    """
-
-    def __init__(
-        self,
-        network: str | Path,
-        routes: Any = (),
-        *,
-        additional: Any = (),
-        vehicles: Sequence[str] = (),
-        vehicle_type: str = "",
-        max_cars: int = 0,
-    ) -> None:
-        if bool(vehicles) == bool(vehicle_type) or bool(vehicle_type) != (max_cars > 0):
-            raise ConfigError("name learning cars by vehicles=[ids], or by vehicle_type= with max_cars=")
-        self.ids, self.vehicle_type = tuple(vehicles), vehicle_type
-        self.max_cars = max_cars or len(vehicles)
-        super().__init__(network, routes, additional=additional)
-        for vehicle in self.ids:
-            self._contents.check_vehicle(vehicle)
-        if vehicle_type:
-            self._contents.check_type(vehicle_type)
-        self.ego_id = self.ids[0] if self.ids else self.ego_id
-        self._ego_is_of_files = bool(self.ids)
-
-    def _take_ego(self, *arguments: Any) -> tuple[Origin, ...]:
-        return (Origin(),)
-
-    def scenario(self, config: Config, seed: int) -> Scenario:
-        """See `NetworkTask.scenario`."""
-        drawn = super().scenario(config, seed)
-        assert drawn.traffic is not None
-        traffic = replace(drawn.traffic, car_type=self.vehicle_type, max_cars=self.max_cars)
-        return replace(drawn, traffic=traffic, further=self.ids[1:])
 
 
 class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
@@ -227,8 +182,8 @@ def parallel_env(
         config: keys of the configuration to change, for all cars; ``controlled_vehicles`` says how many cars there are.
         render_mode: None, ``"rgb_array"`` or ``"human"``.
         remove_crashed: whether crashed cars leave the road; not on the replica.
-        keywords: of the environment of one car; with a file ``routes``, ``additional``, and either ``vehicles``, or
-            ``vehicle_type`` and ``max_cars`` (`FleetTask`).
+        keywords: of the environment of one car; with a file ``routes``, ``additional``, and either ``vehicles``, ids of
+            the files, or ``vehicle_type`` and ``max_cars``: so many of this type that depart are learning cars.
 
     Raises:
         ConfigError: as of `DrivingEnv`; no or too many learning cars.
@@ -236,7 +191,11 @@ def parallel_env(
     make: Any = DrivingEnv
     if not isinstance(env, Task) and (files.is_file(str(env)) or str(env).endswith(".sumocfg")):
         parts = ("routes", "additional", "vehicles", "vehicle_type", "max_cars")
-        fleet = FleetTask(env, **{name: keywords.pop(name) for name in parts if name in keywords})
+        given = {name: keywords.pop(name) for name in parts if name in keywords}
+        ids, kind, most = (given.get(name) for name in parts[2:])
+        if bool(ids) == bool(kind) or bool(kind) != bool(most):
+            raise ConfigError("name learning cars by vehicles=[ids], or by vehicle_type= with max_cars=")
+        fleet = NetworkTask(env, **given)
         if "controlled_vehicles" in (config or {}):
             raise ConfigError("on a network of your own 'max_cars' says how many learning cars there are")
         config, env = {**(config or {}), "controlled_vehicles": fleet.max_cars}, fleet

@@ -91,8 +91,11 @@ class NetworkTask(Task):
         ego_trips: Sequence[tuple[str, str]] = (),
         ego_vehicle: str = "",
         ego_type: str = "",
+        vehicles: Sequence[str] = (),
+        vehicle_type: str = "",
+        max_cars: int = 0,
     ) -> None:
-        """See `sumo_env.env.SumoDrivingEnv`; errors are ValueErrors."""
+        """See `sumo_env.env.SumoDrivingEnv`, and of the last three `sumo_env.parallel`; errors are ValueErrors."""
         for name, instead in NOT_ASKED.items():
             if getattr(type(self), name) is not getattr(Task, name):
                 raise ConfigError(f"{type(self).__name__}.{name} is never asked: on SUMO's files {instead}")
@@ -119,13 +122,15 @@ class NetworkTask(Task):
             warn_once(f"SUMO leaves out {len(left_out)} of the files ({some}): {UNSORTED}")
         if contents.people:
             warn_once(f"{file} has people on foot: no agent sees them, and no contact with them is noticed")
-        self._origins = self._take_ego(ego_route, ego_trips, ego_vehicle, ego_type)
-        self._ego_is_of_files = bool(ego_vehicle)
-        if ego_vehicle:
-            contents.check_vehicle(ego_vehicle)
-        self.ego_id = ego_vehicle or next(
-            id for id in (EGO, "learner", "learner.0") if id not in contents.ids
-        )
+        self._learning = (ego_vehicle,) if ego_vehicle else tuple(vehicles)  # cars of the files
+        self._car_type, self.max_cars = vehicle_type, max_cars or max(len(self._learning), 1)
+        self._origins = self._take_ego(ego_route, ego_trips, ego_type)
+        for vehicle in self._learning:
+            contents.check_vehicle(vehicle)
+        if vehicle_type:
+            contents.check_type(vehicle_type)
+        added_ids = (id for id in (EGO, "learner", "learner.0") if id not in contents.ids)
+        self.ego_id = self._learning[0] if self._learning else next(added_ids)
         self._limit = self._speed_limit()
         if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
             self.target_speeds = (0.0, round(self._limit / 2, 2), round(self._limit, 2))
@@ -163,14 +168,12 @@ class NetworkTask(Task):
         self._drawn = tuple((name, tuple(way)) for name, way in named)
         return bool(named) or "route-files" not in options
 
-    def _take_ego(
-        self, route: Any, trips: Sequence[tuple[str, str]], vehicle: str, type: str
-    ) -> tuple[Origin, ...]:
+    def _take_ego(self, route: Any, trips: Sequence[tuple[str, str]], type: str) -> tuple[Origin, ...]:
         """The ways in which the ego may come; one is drawn for each episode."""
-        given = [bool(route), bool(trips), bool(vehicle)]
-        if sum(given) != 1:
+        is_of_files = bool(self._learning or self._car_type)
+        if bool(route) + bool(trips) + is_of_files != 1:
             raise ConfigError("the ego needs one of ego_route, ego_trips and ego_vehicle")
-        if vehicle:
+        if is_of_files:
             if type:
                 raise ConfigError("ego_type is for an ego that is added: a vehicle of the files has its own")
             return (Origin(),)
@@ -261,7 +264,10 @@ class NetworkTask(Task):
                 duration=float(config["duration"]),
                 measures_energy=measures_energy(config),
                 overlaps_are_crashes=bool(config["overlaps_are_crashes"]),
+                car_type=self._car_type,
+                max_cars=self.max_cars,
             ),
+            further=self._learning[1:],
         )
 
     def _scale(self, config: Config, seed: int) -> float:
@@ -269,7 +275,7 @@ class NetworkTask(Task):
         low, high = config["traffic_scale"]
         if not 0.0 <= low <= high:
             raise ConfigError(f"'traffic_scale' must be [low, high] from 0 on, not {[low, high]!r}")
-        if low < 1.0 and self._ego_is_of_files:
+        if low < 1.0 and self._learning:
             raise ConfigError(
                 f"'traffic_scale' must be from 1 on, not {[low, high]!r}: SUMO may leave out an ego of the files; "
                 "take ego_route or ego_trips"

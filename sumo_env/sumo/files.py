@@ -90,7 +90,7 @@ class FileSimulator(SumoSimulator):
     def _insert_ego(self, scenario: Scenario, traffic: SumoTraffic) -> None:
         """Drive until the ego has departed, at the end of the warm-up or later."""
         session, name, origin = self._session, self._name, traffic.origin
-        for _ in range(round(traffic.warm_up / self._dt)):
+        for _ in range(round(scenario.warm_up / self._dt)):
             self._advance()
         if origin.edges and not session.send(name, origin.edges, origin.is_trip, origin.type, origin.speed):
             first, last = origin.edges[0], origin.edges[-1]

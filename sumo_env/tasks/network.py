@@ -249,12 +249,12 @@ class NetworkTask(Task):
             simulation_frequency=self.frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             net=self.net,
+            warm_up=float(config["warm_up"]),
             obeys_lights=bool(config["obey_traffic_lights"]),
             traffic=SumoTraffic(
                 options=tuple(options.items()),
                 origin=origin,
                 elements=drawn,
-                warm_up=float(config["warm_up"]),
                 wait=float(config["wait"]),
                 ranges=self.risk_ranges,
                 rates=self.risk_rates,

@@ -113,8 +113,7 @@ class SumoTraffic:
         car_type: of the vehicles of the files that are learning cars, the first `max_cars` that depart; "" where they
             are the ego and `Scenario.further`.
         elements: vehicle types, routes and vehicles that were drawn for this episode, as XML of an additional file.
-        warm_up: time that the traffic drives before the ego comes [s].
-        wait: longest time that SUMO may need to insert the ego from then on [s].
+        wait: longest time that SUMO may need to insert the ego after the warm-up [s].
         ranges, rates, own_kinds: what risk does to the drivers.
         models: car-following models of vehicle types, where the files name one.
         stopping: ids of vehicles and flows that need not arrive at the end of an edge.
@@ -128,7 +127,6 @@ class SumoTraffic:
     options: tuple[tuple[str, str], ...]
     origin: Origin
     elements: str = ""
-    warm_up: float = 0.0
     wait: float = 600.0
     ranges: RiskRanges = RISK_RANGES
     rates: RiskRates = NO_EVENTS

@@ -39,11 +39,6 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
 
     lasted = episodes["length"] / of_cell(lambda key: key["env_config"].get("policy_frequency", 1))
     crashed = episodes["crashed"].astype(float)
-    grouped = episodes.assign(crashed=crashed).groupby(["cell", "traffic"], sort=False)
-    way, crashes = grouped["distance"].transform("mean"), grouped["crashed"].transform("mean")
-    # Linearised ratio of sums: the mean over an agent's episodes is the ratio, their spread gives its standard error.
-    rate = crashes / way
-    per_metre = rate + (crashed - rate * episodes["distance"]) / way
     seconds = of_cell(lambda key: key["env_config"].get("duration", TASKS[key["task"]].defaults["duration"]))
     own = {name: outcome.of for name, outcome in outcomes.items() if outcome.of is not None}
     return episodes.assign(
@@ -54,8 +49,20 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
         crashed=crashed,
         reward_per_step=episodes["return"] / episodes["length"],
         crash_free_time=episodes["crash_time"].astype(float).where(crashed > 0).fillna(lasted),
-        crashes_per_100_km=per_metre.where(way > 0, 0.0) * 1e5,
+        crashes_per_100_km=crashes_per_100_km(episodes, ["cell", "traffic"]),
     )
+
+
+def crashes_per_100_km(episodes: pd.DataFrame, by: Sequence[str]) -> pd.Series:
+    """The ratio of sums in each group of `by`, linearised: its mean over a group's episodes is the ratio, and their
+    spread gives its standard error. 0 where nobody moves.
+    """
+    crashed = episodes["crashed"].astype(float)
+    grouped = episodes.assign(crashed=crashed).groupby([*by], sort=False)
+    way, crashes = grouped["distance"].transform("mean"), grouped["crashed"].transform("mean")
+    rate = crashes / way
+    per_metre = rate + (crashed - rate * episodes["distance"]) / way
+    return per_metre.where(way > 0, 0.0) * 1e5
 
 
 def once_each(episodes: pd.DataFrame) -> pd.DataFrame:

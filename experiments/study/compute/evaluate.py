@@ -70,7 +70,22 @@ def play(
         env = UnseenRisk(env, traffic)
     policy.reset(stream_seed("policy", drive.task, drive.level, drive.traffic, drive.scenario))
     asked = {**traffic.options(drive.seed), **(options or {})}
-    observation, info = env.reset(seed=drive.seed, options=asked)
+    row = play_from(env, policy, drive.seed, asked, on_step)
+    return {"traffic": drive.traffic, "scenario": drive.scenario, **row}
+
+
+def play_from(
+    env: gym.Env[Any, Any],
+    policy: Policy,
+    seed: int,
+    options: Mapping[str, Any],
+    on_step: Callable[[], None] | None = None,
+) -> dict[str, Any]:
+    """Play the episode of a reset with this seed and options: its row of COLUMNS but for traffic and scenario.
+
+    policy: is reset. on_step: as in `play`.
+    """
+    observation, info = env.reset(seed=seed, options=dict(options))
     if on_step:
         on_step()
     rewards: list[float] = []
@@ -88,8 +103,6 @@ def play(
     speeds = np.array([step["speed"] for step in steps])
     crash = info["crash"] if info["crashed"] else {}
     return {
-        "traffic": drive.traffic,
-        "scenario": drive.scenario,
         "return": math.fsum(rewards),
         "length": len(rewards),
         "crashed": bool(info["crashed"]),
@@ -107,19 +120,24 @@ def play(
     }
 
 
-def driving(episodes: pd.DataFrame) -> dict[str, list[float]]:
-    """How a policy drives in some test episodes: crash_rate, return and speed [m/s].
+def limits(values: pd.Series, is_share: bool) -> list[float]:
+    """The mean of an outcome of episodes, and the ends of its 95 % interval over them.
 
-    Each with the ends of its 95 % interval over the episodes: Wilson's of the rate, Student's of the means.
+    Wilson's of a share of episodes, Student's of any other mean.
     """
     from scipy import stats
 
-    crashes = stats.binomtest(int(episodes["crashed"].sum()), len(episodes))
-    found = {"crash_rate": (crashes.statistic, *crashes.proportion_ci(method="wilson"))}
-    for name, values in (("return", episodes["return"]), ("speed", episodes["mean_speed"])):
-        half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
-        found[name] = (values.mean(), values.mean() - half, values.mean() + half)
-    return {name: [float(value) for value in values] for name, values in found.items()}
+    if is_share:
+        found = stats.binomtest(int(values.sum()), len(values))
+        return [float(value) for value in (found.statistic, *found.proportion_ci(method="wilson"))]
+    mean, half = values.mean(), stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
+    return [float(value) for value in (mean, mean - half, mean + half)]
+
+
+def driving(episodes: pd.DataFrame) -> dict[str, list[float]]:
+    """How a policy drives in some test episodes: crash_rate, return and speed [m/s], each as `limits`."""
+    columns = {"crash_rate": "crashed", "return": "return", "speed": "mean_speed"}
+    return {name: limits(episodes[column], column == "crashed") for name, column in columns.items()}
 
 
 def evaluate(

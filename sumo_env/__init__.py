@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 
 if TYPE_CHECKING:
+    from sumo_env.benchmark import benchmark_scenarios as benchmark_scenarios
     from sumo_env.check import check_task as check_task
     from sumo_env.driving import DrivingEnv as DrivingEnv
     from sumo_env.env import SumoDrivingEnv as SumoDrivingEnv
@@ -88,7 +89,7 @@ def parallel_env(env: Any, config: Any = None, **keywords: Any) -> Any:
 
 # What is imported when it is asked for, so that ``import sumo_env`` takes no time.
 _LATER = {"DrivingEnv": "sumo_env.driving", "SumoDrivingEnv": "sumo_env.env", "Task": "sumo_env.tasks.base",
-          "check_task": "sumo_env.check"}  # fmt: skip
+          "check_task": "sumo_env.check", "benchmark_scenarios": "sumo_env.benchmark"}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

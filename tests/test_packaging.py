@@ -69,6 +69,7 @@ def test_only_sumo_env_is_installed(python: Path) -> None:
     installed = {path.name for path in site_packages(python).iterdir()} - {"dependencies.pth"}
     assert {name for name in installed if not name.endswith(".dist-info")} == {"sumo_env"}
     networks = site_packages(python) / "sumo_env" / "networks"
+    assert (networks.parent / "benchmark.json").is_file()
     assert networks.is_dir()
     assert not networks.is_symlink()
 

@@ -21,7 +21,9 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from experiments.reporting.tables import chosen, plain
+from experiments import evaluate
+from experiments.reporting.card import ALL
+from experiments.reporting.tables import chosen, plain, points
 from experiments.study.design.sheet import GRID
 
 TEMPLATES = ROOT / "docs" / "templates"
@@ -60,9 +62,24 @@ def road_units(task: str, unit: str, digits: int) -> str:
     return " | ".join(plain(values[traffic], digits) for traffic in ("0", "1", "measured"))
 
 
+def entries(outcome: str) -> str:
+    """A table of the frozen test: one of `by_task.COLUMNS` by driver and task, in its four traffics; without intervals.
+
+    What was driven on another set or another simulator is left out.
+    """
+    lines = [["driver", *GRID, "scenarios"], ["---"] * (len(GRID) + 2)]
+    for name, card in evaluate.entries().items():
+        cells: dict[str, list[str]] = {task: [] for task in GRID}
+        for row in card["rows"]:
+            if row["level"] == ALL and card["set"][row["task"]] == evaluate.identity(row["task"]):
+                cells[row["task"]].append(points(row[outcome][0], outcome, signed=False))
+        lines.append([f"`{name}`", *map(" / ".join, cells.values()), str(card["scenarios"])])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
 # -- pages -------------------------------------------------------------------------------------------------------------
 
-FUNCTIONS: list[Callable[..., Any]] = [missed, road_units, validation]
+FUNCTIONS: list[Callable[..., Any]] = [entries, missed, road_units, validation]
 
 
 def page_of(template: Path) -> Path:

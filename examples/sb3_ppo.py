@@ -23,6 +23,7 @@ parser.add_argument("--learner", choices=("ppo", "dqn"), default="ppo")
 parser.add_argument("--steps", type=int, default=300_000)
 parser.add_argument("--minutes", type=float, help="train for so long instead")
 parser.add_argument("--scenarios", type=int, default=200, help="that the agent drives in the end")
+parser.add_argument("--save", help="file for a model with the observation of sumo/*, for evaluate.py")
 parser.add_argument("--envs", type=int, default=64)
 parser.add_argument("--threads", type=int, default=1, help="that drive the environments")
 parser.add_argument("--rollout", type=int, default=32, help="steps of each environment between two updates")
@@ -80,6 +81,9 @@ torch.set_num_threads(1)  # several times faster with small networks
 version = {"roundabout": 1, "intersection": 2, "u-turn": 1}.get(args.task, 0)  # highway-env's current ones
 name = f"sumo_env:replica/{args.task}-v{version}"
 traffic = {"scenarios": "seeded", "config": {"risk": args.risk}}
+if args.save:
+    on_sumo = gym.make(f"sumo_env:sumo/{args.task}-v0").unwrapped
+    traffic["config"]["observation"] = on_sumo.config["observation"]
 if args.learner == "ppo":
     envs = gym.make_vec(name, args.envs, autoreset_mode="SameStep", threads=args.threads, **traffic)
     model = PPO(
@@ -112,6 +116,8 @@ end = time.monotonic() + 60 * (args.minutes or np.inf)
 steps = 10**9 if args.minutes else args.steps
 model.learn(steps, callback=lambda _, __: time.monotonic() < end)
 model.env.close()
+if args.save:
+    model.save(args.save)
 
 env, returns, crashes = gym.make(name, **traffic), [], []
 for seed in range(args.scenarios):

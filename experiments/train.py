@@ -2,11 +2,11 @@
 
     python experiments/train.py --out results/mine                             # u-turn, among risky drivers
     python experiments/train.py --tasks highway --arms control --out results/mine
-    python experiments/watch.py results/mine     # films it
-    python experiments/test.py results/mine      # crash rate, return and speed at risk 0 and 1
+    python experiments/watch.py results/mine        # films it
+    python experiments/evaluate.py results/mine     # crash rate, return and speed in the frozen test
 
 An agent is a cell of a sweep, so that all options of sweep.py choose it; by default one agent of the preset quick.
-Further agents in the same directory are compared by test.py and report.py.
+Further agents in the same directory are compared by report.py.
 """
 
 from __future__ import annotations
@@ -87,7 +87,9 @@ def train(options: Options, arguments: list[str]) -> int:
             raise UserError(f"{name} failed: {reason}; see {Store(options.out).work / name / LOG}")
         for cell in agents:
             print(f"{cell.slug} is trained and tested; its learning curve: {draw(options.out, cell)}")
-    shown = [shlex.join(["python", f"experiments/{name}.py", str(options.out)]) for name in ("test", "watch")]
+    shown = [
+        shlex.join(["python", f"experiments/{name}.py", str(options.out)]) for name in ("evaluate", "watch")
+    ]
     print("next:", "; ".join(shown))
     return 0
 

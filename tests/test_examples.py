@@ -15,7 +15,7 @@ NAMES = sorted(path.stem for path in SCENARIOS.glob("*.py") if path.stem not in 
 SCRIPTS = {
     "sb3_dqn.py": (["--steps", "120"], "risk 1: return"),
     "sb3_ppo.py": (
-        ["--steps", "128", "--envs", "8", "--rollout", "16", "--scenarios", "2"],
+        [*("--steps", "128", "--envs", "8", "--rollout", "16", "--scenarios", "2"), "--save", "ppo.zip"],
         "of 2 scenarios",
     ),
     "arrive.py": (

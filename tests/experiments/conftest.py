@@ -11,7 +11,8 @@ import pytest
 def in_this_process(patch: pytest.MonkeyPatch) -> None:
     """Cells and episodes are computed in a thread, which starts at once."""
     patch.setattr("experiments.study.compute.cells.open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
-    patch.setattr("experiments.validation.episodes.LocalExecutor", lambda _: ThreadPoolExecutor(1))
+    for module in ("validation.episodes", "study.compute.entrants"):
+        patch.setattr(f"experiments.{module}.LocalExecutor", lambda _: ThreadPoolExecutor(1))
 
 
 @pytest.fixture

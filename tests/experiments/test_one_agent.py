@@ -1,7 +1,8 @@
-"""One agent from the command line: trained, shown, tested beside other policies, and read by the report."""
+"""One agent from the command line: trained, shown and tested."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +14,10 @@ import torch
 from PIL import Image
 
 import agents
-from experiments import report, test, train, watch
+from experiments import evaluate, report, train, watch
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import drives, driving, evaluate
+from experiments.study.compute import evaluate as compute
+from experiments.study.compute.entrants import entrants
 from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
@@ -46,29 +48,17 @@ def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
     assert (key["kind"], key["arm"], key["seed"], key["profile"]["updates"]) == ("agent", "mixed", 0, 60)
     picture = Image.open(trained / f"{name}.png")
     assert min(picture.size) > 200
-
-
-def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
-    assert test.test(test.Options(trained)) == 0
-    said = capsys.readouterr().out
-    rows = {line.split()[0]: line for line in said.splitlines() if "±" in line}
-    published = {"control-s0", "treatment-s0"}  # the agents of results/standard whose weights are kept
-    assert set(rows) == {"mixed-s0", *published, "idle", "random", "faster", "slower", "idm", "careful"}
-    assert all(("(published)" in row) == (name in published) for name, row in rows.items())
-    assert "4 scenarios at each risk, the same in every row" in said
-    [slower] = [n for n in store.Store(trained).finished() if "slower" in n]
-    table = store.Store(trained).tables(slower)[store.EPISODES]
-    regular = table[table["traffic"] == "regular"]
-    assert f"{regular['crashed'].mean():.0%}" in rows["slower"]
-    assert f"{regular['mean_speed'].mean():.2f} ±" in rows["slower"]
     assert report.write_report(trained).is_file()
 
 
-def test_intervals() -> None:
-    crashed = [True] * 5 + [False] * 45
-    found = driving(pd.DataFrame({"crashed": crashed, "return": 1.0, "mean_speed": [1.0, 3.0] * 25}))
-    assert test.words("crash_rate", *found["crash_rate"]) == " 10% [4, 21]"  # Wilson
-    assert test.words("speed", *found["speed"]) == "  2.00 ± 0.29"  # Student: 2.0096 x 1.0102 / sqrt(50)
+def test_it_takes_the_frozen_test(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sumo_env.benchmark.QUICK", 2)
+    assert evaluate.evaluate(evaluate.Options(str(trained), quick=True, out=tmp_path), ["results/mine"]) == 0
+    card = json.loads((tmp_path / evaluate.CARD).read_text())
+    [name] = store.Store(trained).agents()
+    # also at the level that it was not trained in
+    assert card["drivers"] == {"u-turn 3": name, "u-turn 12": name}
+    assert {row["task"] for row in card["rows"]} == {"u-turn"}
 
 
 def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:
@@ -100,8 +90,8 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
         train.cells(train.Options(out=tmp_path, arms=("mixd",)))
     with pytest.raises(UserError, match="there are: sumo-u-turn-3-mixed-s0"):
         watch.watch(watch.Options(trained, agent="treatment"))
-    with pytest.raises(UserError, match="no trained agent"):
-        test.test(test.Options(tmp_path))
+    with pytest.raises(UserError, match="no agent"):
+        entrants(str(tmp_path))
     with pytest.raises(UserError, match="no trained agent"):
         watch.watch(watch.Options(tmp_path))
 
@@ -124,7 +114,8 @@ def test_an_agent_can_be_published_and_loaded(tmp_path: Path) -> None:
         assert value == pytest.approx(regular["crashed"].mean())
         assert 0 <= low <= value <= high <= 1
         env = make_env("sumo", task, card["config"])
-        again = evaluate(env, agents.load(setting, "control", file), drives(task, 1, range(2), ("regular",)))
+        asked = compute.drives(task, 1, range(2), ("regular",))
+        again = compute.evaluate(env, agents.load(setting, "control", file), asked)
         env.close()
         assert list(again["actions"]) == list(regular["actions"][:2])
         assert list(again["return"]) == list(regular["return"][:2])

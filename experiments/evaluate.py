@@ -1,0 +1,143 @@
+"""Put a policy through the frozen test, and write its card: how safely and how fast it drives, beside others.
+
+    python experiments/evaluate.py results/mine                # the agent that train.py has trained
+    python experiments/evaluate.py u-turn.zip --tasks u-turn   # a model of Stable-Baselines3; 'ppo-{task}.zip': of each
+    python experiments/evaluate.py my_policy.py:make           # make(env) returns an object with act(observation)
+    python experiments/evaluate.py treatment                   # a published agent: an arm, or u-turn-3/treatment
+    python experiments/evaluate.py careful                     # a driver of fixed rules; sumo: SUMO's own
+
+Five tasks in the lightest and the densest traffic, among regular, risky and measured drivers and risky ones without
+events: 200 scenarios each, the same ones for everybody (docs/benchmark.md). About ten minutes on two cores, with
+--quick two. Writes card.json and card.html. --entry NAME also stores the card in results/entries.json.
+
+benchmark.py measures the speed of the simulators and has nothing to do with this test.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+    import experiments.support.needs  # noqa: F401  (says what has to be installed)
+
+import json
+import shlex
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Annotated, Any
+
+import tyro
+
+from experiments.reporting.card import ALL, part, rows, texts
+from experiments.reporting.page import render
+from experiments.study.compute.entrants import entrants, take
+from experiments.study.design.fingerprint import check_dynamics, dynamics
+from experiments.study.design.options import TaskNames
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, in_words, writing
+from experiments.support.files import read_json, sha256_bytes, write_file, write_json
+from experiments.support.provenance import provenance
+from sumo_env.benchmark import SIZE, benchmark_scenarios, stored
+
+ENTRIES = Path(__file__).resolve().parents[1] / "results" / "entries.json"
+CARD, PAGE = "card.json", "card.html"
+Card = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Put a policy through the frozen test, and write its card."""
+
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
+    """A directory of train.py or sweep.py, a zip file of Stable-Baselines3, FILE:MAKE, a published agent or a rule."""
+    tasks: TaskNames = ()
+    """Some tasks; by default those that the policy was trained for, or all."""
+    agent: str = ""
+    """A part of the agent's name in the directory; by default the agent that was trained last."""
+    quick: bool = False
+    """40 scenarios of each kind in place of 200."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/card")
+    """Directory for card.json and card.html, which are written anew."""
+    entry: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
+    """Store the card in results/entries.json, to be committed; NAME is what the driver is called there."""
+
+
+def evaluated(options: Options, arguments: Sequence[str]) -> dict[str, Any]:
+    """Drive the test; returns the card.
+
+    Raises:
+        UserError: there is no such policy or task, or the policy does not fit an environment.
+    """
+    who = entrants(options.policy, options.agent)
+    tasks = options.tasks or tuple(dict.fromkeys(task for task, _ in who))
+    if strange := set(tasks) - {task for task, _ in who}:
+        raise UserError(f"{options.policy} cannot drive {', '.join(strange)}: leave it out of --tasks")
+    with in_words():
+        scenarios = benchmark_scenarios(tasks, options.quick)
+    check_dynamics(("sumo", task) for task in tasks)
+    groups = {group: list(own) for group, own in groupby(scenarios, lambda one: one.group)}
+    episodes, digests = take(who, groups)
+    return {
+        "name": options.entry or Path(options.policy).name,
+        "command": shlex.join(["python", "experiments/evaluate.py", *arguments]),
+        "date": time.strftime("%Y-%m-%d"),
+        "scenarios": len(scenarios) // len(groups),
+        "drivers": {f"{task} {level}": one.name for (task, level), one in who.items() if task in tasks},
+        "set": {task: identity(task) for task in tasks},
+        "changed": [group for group in groups if digests[group] != stored(group, options.quick)],
+        "provenance": provenance(),
+        "rows": list(rows(episodes)),
+    }
+
+
+def identity(task: str) -> str:
+    """What two cards have to have in common to be compared in a task: the frozen scenarios, and what SUMO does."""
+    groups = dict.fromkeys(one.group for one in benchmark_scenarios([task], quick=True))
+    return sha256_bytes(" ".join([*map(stored, groups), dynamics("sumo", task)]).encode())[:8]
+
+
+def entries() -> dict[str, Card]:
+    """The cards that are stored, by name."""
+    return read_json(ENTRIES) if ENTRIES.exists() else {}
+
+
+def page(card: Card, others: Mapping[str, Card]) -> str:
+    """card.html."""
+    name = card["name"]
+    cards = {name: card, **({} if card["changed"] else {**others, name: card})}
+    frame = texts(cards, card["set"])
+    own = part(frame, driver=name)
+    beside = {
+        (task, traffic): part(frame, task=task, traffic=traffic, level=ALL)
+        for task, traffic in zip(own["task"], own["traffic"], strict=True)
+        if len(cards) > 1
+    }
+    return render({"card": card, "full": SIZE, "own": own, "beside": beside}, "card.html.j2")
+
+
+def evaluate(options: Options, arguments: Sequence[str]) -> int:
+    """Do what the options ask for; returns the exit status."""
+    card = evaluated(options, arguments)
+    others = entries()
+    with writing(options.out):
+        write_json(options.out / CARD, card)
+        write_file(options.out / PAGE, page(card, others).encode())
+    shown = part(texts({"": card}, card["set"]), driver="", level=ALL)
+    print(f"{shown.to_string(index=False)}\ncard, beside {len(others)} others: {options.out / PAGE}")
+    if card["changed"]:
+        print(f"not the frozen scenarios: {', '.join(card['changed'])} are drawn otherwise by this code")
+    if options.entry:
+        if card["changed"]:
+            raise UserError("--entry stores cards of the frozen scenarios alone")
+        cards = {**others, options.entry: card}
+        lines = [f"{json.dumps(name)}: {json.dumps(one)}" for name, one in cards.items()]
+        write_file(ENTRIES, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+    return 0
+
+
+if __name__ == "__main__":
+    command(lambda options: evaluate(options, sys.argv[1:]), Options, __doc__)

@@ -1,0 +1,116 @@
+"""The frozen test from the command line: who may take it, what a card says, and when cards may be compared."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments import evaluate
+from experiments.reporting.card import ALL, rows
+from experiments.study.compute.entrants import entrants
+from experiments.support.errors import UserError
+from sumo_env.benchmark import SETTINGS, TRAFFICS
+
+MAKE = """
+class Slow:
+    def act(self, observation):
+        return 4
+
+
+def make(env):
+    return Slow()
+"""
+
+
+@pytest.fixture
+def short(here: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Two scenarios of each group, driven in this process, and no entries; returns the file for these."""
+    monkeypatch.setattr("sumo_env.benchmark.QUICK", 2)
+    monkeypatch.setattr(evaluate, "check_dynamics", lambda _: None)
+    monkeypatch.setattr(evaluate, "ENTRIES", tmp_path / "entries.json")
+    return tmp_path / "entries.json"
+
+
+def taken(policy: str, tmp_path: Path, **options: Any) -> dict[str, Any]:
+    asked = evaluate.Options(policy, tasks=("u-turn",), quick=True, out=tmp_path, **options)
+    assert evaluate.evaluate(asked, [policy]) == 0
+    return json.loads((tmp_path / evaluate.CARD).read_text())
+
+
+def test_a_policy_of_one_s_own_gets_the_card_of_the_rule_that_it_is(short: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(MAKE)
+    own = taken(f"{tmp_path}/mine.py:make", tmp_path)
+    assert own["rows"] == taken("slower", tmp_path)["rows"]
+    places = [(row["traffic"], row["level"], row["episodes"]) for row in own["rows"]]
+    sizes = {ALL: 4, "3": 2, "12": 2}
+    assert places == [(traffic, level, n) for traffic in TRAFFICS for level, n in sizes.items()]
+    for row in own["rows"]:
+        assert row["entered"] is None  # there is no crossing
+        for low, value, high in [
+            (row[name][1], row[name][0], row[name][2]) for name in ("crashed", "return")
+        ]:
+            assert low <= value <= high
+
+
+def test_another_set_says_so_and_enters_no_table(short: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    """Two scenarios have another digest than forty; with their own digest they are the set that is asked for."""
+    card = taken("slower", tmp_path)
+    assert len(card["changed"]) == 2 * len(TRAFFICS) and "not the frozen" in capsys.readouterr().out
+    assert "Another set" in (tmp_path / evaluate.PAGE).read_text()
+    with pytest.raises(UserError, match="frozen scenarios alone"):
+        taken("slower", tmp_path, entry="slow")
+    assert not short.exists()
+    monkeypatch.setattr("experiments.study.compute.entrants.digest", lambda _: "same")
+    monkeypatch.setattr(evaluate, "stored", lambda group, quick=False: "same")
+    first = taken("slower", tmp_path, entry="slow")
+    second = taken("idle", tmp_path, entry="idle")
+    assert second["changed"] == [] and evaluate.entries() == {"slow": first, "idle": second}
+    row = '<th scope="row">slow</th>'
+    assert evaluate.page(second, {"slow": first}).count(row) == len(TRAFFICS)
+    assert row not in evaluate.page(second, {"slow": {**first, "set": {"u-turn": "another"}}})
+
+
+def test_a_policy_that_does_not_fit_is_told_before_anything_is_driven(short: Path, tmp_path: Path) -> None:
+    (tmp_path / "no.zip").write_text("")
+    for policy, words in (("carefull", "did you mean 'careful'"), (f"{tmp_path}/no.zip", "no model")):
+        with pytest.raises(UserError, match=words):
+            taken(policy, tmp_path)
+    with pytest.raises(UserError, match="cannot drive u-turn"):
+        taken("highway-50/control", tmp_path)
+
+
+def test_who_drives_where() -> None:
+    places = {(task, level) for task, levels in SETTINGS.items() for level in levels}
+    control = entrants("control")  # published agents, each in the setting of its training
+    assert control.keys() == places and control["u-turn", "12"].name == "u-turn-12/control"
+    assert control["two-way", "15+6"].name == "two-way-5+2/control"  # or else in one of the same task
+    assert {task: one.name for (task, _), one in entrants("u-turn-3/mixed").items()} == {
+        "u-turn": "u-turn-3/mixed"
+    }
+    assert entrants("{task}-{level}.zip")["highway", "50"].name == "highway-50.zip"
+
+
+def test_the_numbers_of_a_card_are_those_of_its_episodes() -> None:
+    n = 50
+    crashed = np.arange(2 * n) % n < 5  # of either level
+    way = np.r_[np.full(n, 100.0), np.full(n, 300.0)]
+    episodes = pd.DataFrame({
+        **{"task": "intersection", "level": ["10"] * n + ["30"] * n, "traffic": "risky", "crashed": crashed},
+        **{"crash_closing_speed": np.where(crashed, 12.0, np.nan), "distance": way, "return": 1.0},
+        "mean_speed": [1.0, 3.0] * n,
+    })  # fmt: skip
+    both, light, dense = rows(episodes)
+    assert (both["level"], light["level"], dense["level"]) == (ALL, "10", "30")
+    assert light["crashed"] == light["hard_crash"] == pytest.approx([0.1, 0.0435, 0.2136], abs=1e-4)  # Wilson
+    assert light["mean_speed"] == pytest.approx([2.0, 1.713, 2.287], abs=1e-3)  # Student: 2.0096 x .1429
+    ratios = [light["crashes_per_100_km"][0], dense["crashes_per_100_km"][0]]
+    assert ratios == pytest.approx([100.0, 100 / 3], rel=1e-4) and both["entered"][0] == 1.0
+    assert both["crashes_per_100_km"][0] == pytest.approx(np.mean(ratios), rel=1e-4)  # levels alike
+    *_, none = rows(episodes.assign(crashed=False))
+    assert none["crashes_per_100_km"][:2] == [0.0, 0.0]
+    assert none["crashes_per_100_km"][2] == pytest.approx(1e5 / 300 * none["crashed"][2], rel=1e-4)

@@ -209,7 +209,7 @@ def parallel_env(
             make = resolve_name(REPLICA)
     if make is not DrivingEnv and remove_crashed:
         raise ConfigError("remove_crashed: crashed cars stay on the road on highway-env's physics")
-    given = asked(config, keywords.pop("cars", 1))
+    cars_asked = asked(config, keywords.pop("cars", 1))
 
-    cars = Cars(partial(make, env, **keywords), given, render_mode, remove_crashed)
+    cars = Cars(partial(make, env, **keywords), cars_asked, render_mode, remove_crashed)
     return ParallelDrivingEnv(cars, render_mode)

@@ -1,0 +1,217 @@
+"""Say how often a policy crashes where risk events are as rare as on a road, down to once in a million episodes.
+
+    python experiments/rare.py careful-4 --task u-turn --rates 1e-4:1
+    python experiments/rare.py u-turn-3/treatment --task u-turn --rates 1e-5:0.1 --episodes 20000 --out results/rare
+    python experiments/rare.py my_policy.py:make --task highway --rates 0.01 --plain          # counts, to compare
+
+Rates are in units of the events at dose 1 (docs/traffic-and-risk.md); the other drivers' parameters stay those of
+--dose. Events near the ego are drawn more often than they are asked about, and every episode counts by its exact
+weight; how much more often is chosen by a pilot. Crashes without an event near the ego are as rare as they are: they
+have a limit of their own. Where too few crashes carry an estimate, the table says that nothing is claimed.
+
+Writes curve.json, curve.csv and curve.svg. The same command run again goes on where it was stopped; finished batches
+of episodes are never driven twice. docs/rare.md says what the columns mean, and what to beware of.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+    import experiments.support.needs  # noqa: F401  (says what has to be installed)
+
+import math
+import shlex
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import tyro
+
+from agents.files import DamagedFile
+from agents.plugins import foreign
+from experiments.analysis import rare as analysis
+from experiments.backends import make_env
+from experiments.reporting.rare import rare_figure
+from experiments.study.compute.executors import EXECUTORS, open_executor
+from experiments.study.compute.executors.local import TASKS_PER_PROCESS
+from experiments.study.compute.progress import ProgressDisplay
+from experiments.study.compute.rare import Batch, Question
+from experiments.study.compute.run import run
+from experiments.study.design.fingerprint import known_dynamics
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, in_words, unknown, writing
+from experiments.support.files import write_file, write_json
+from experiments.support.provenance import provenance
+from sumo_env.tasks import TASKS
+
+BATCH = 100  # episodes, about
+PILOT = 100  # episodes, which do not count for the curve
+SHOWN = {
+    "rate": "rate",
+    "events_per_hour": "per vehicle-hour",
+    "crashes_per_episode": "crashes/episode",
+    "by_events_per_episode": "by events",
+    "crashes_per_100_km": "per 100 km",
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Say how often a policy crashes where risk events are as rare as on a road."""
+
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
+    """A published agent (treatment, u-turn-3/treatment), a zip file of Stable-Baselines3, FILE:MAKE, a directory of
+    results, or a driver of fixed rules (careful-4)."""
+    task: str
+    """Task that is driven."""
+    level: str = ""
+    """Its traffic level by name; by default the lightest."""
+    rates: str = "1e-4:1"
+    """Rates of events, 1 for those at dose 1: LOW:HIGH (two in each decade), or some with commas between."""
+    dose: float = 0.001
+    """Dose of risk that the other drivers' parameters have, above 0 (0.001: regular drivers)."""
+    reach: float = 40.0
+    """Events of vehicles within so many metres of the ego come more often."""
+    episodes: int = 5000
+    """Episodes for the curve, about."""
+    plain: bool = False
+    """Count plainly: events come no more often than asked about."""
+    seed: int = 0
+    """Of all scenarios."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/rare")
+    """Directory for the results."""
+    executor: str = "local"
+    """Where episodes are driven: local (processes of this machine), ray or slurm (docs/clusters.md)."""
+    workers: int | None = None
+    """Batches at a time; by default one for each core."""
+
+
+def rates_of(text: str) -> tuple[float, ...]:
+    """The rates that an option names, rising. Raises UserError."""
+    try:
+        numbers = [float(word) for word in text.replace(":", ",").split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or not all(1e-9 <= one <= 1.0 for one in numbers) or (":" in text and len(numbers) != 2):
+        raise UserError(f"--rates are LOW:HIGH, or numbers with commas between, from 1e-9 to 1, not {text!r}")
+    if ":" in text:
+        low, high = sorted(numbers)
+        steps = max(round(2 * math.log10(high / low)), 1)
+        numbers = [float(f"{one:.3g}") for one in np.geomspace(low, high, steps + 1)]
+    return tuple(sorted(set(numbers)))
+
+
+def question(options: Options) -> Question:
+    """What the options ask. Raises UserError for what does not exist or makes no sense, before anything is driven."""
+    if options.task not in TASKS:
+        raise unknown("task", options.task, TASKS)
+    level = options.level or next(iter(TASKS[options.task].levels))
+    if level not in TASKS[options.task].levels:
+        raise unknown("level", level, TASKS[options.task].levels)
+    if options.executor not in EXECUTORS:
+        raise unknown("executor", options.executor, EXECUTORS)
+    for name, is_right in (
+        ("dose", 0.001 <= options.dose <= 1.0),
+        ("reach", options.reach > 0.0),
+        ("episodes", options.episodes > 0),
+    ):
+        if not is_right:
+            least = "between 0.001 and 1" if name == "dose" else "above 0"
+            raise UserError(f"--{name} is {least}, not {getattr(options, name)}")
+    is_file = options.policy.endswith(".zip") or ":" in options.policy
+    with in_words((ValueError, DamagedFile)):
+        dynamics = known_dynamics("sumo", options.task)
+        own = options.dose, options.reach, options.seed, dynamics
+        found = Question(options.policy, options.task, level, *own)
+        entrant = found.entrant
+        with closing(make_env("sumo", found.task, found.config)) as env:
+            entrant.make(env)
+        identity = foreign(entrant.name)[1] if is_file else entrant.name
+    return replace(found, identity=f"{identity} {dynamics}")
+
+
+def drive(
+    options: Options, asked: Question, part: str, components: Sequence[tuple[float, float]], episodes: int
+) -> pd.DataFrame:
+    """Episodes of these components, those included that were driven before. Raises UserError where some failed."""
+    rounds = max(BATCH // len(components), 1)
+    count = -(-episodes // (rounds * len(components)))
+    batches = [Batch(asked, options.out, part, tuple(components), rounds, k) for k in range(count)]
+    there = {batch.name for batch in batches if batch.done()}
+    sizes, kind, failures = {batch.name: 1.0 for batch in batches}, f"batches ({part})", dict[str, str]()
+    with closing(ProgressDisplay(options.out / "work", sizes, there, kind)) as progress:
+        if left := [batch for batch in batches if batch.name not in there]:
+            executor = open_executor(options.executor, options.workers, options.out, TASKS_PER_PROCESS)
+            failures = run(left, *executor, progress)
+    if failures:
+        name, reason = next(iter(failures.items()))
+        raise UserError(f"{len(failures)} batches failed; {name}: {reason}. Run the command again to go on")
+    return pd.concat([pd.read_parquet(batch.file) for batch in batches], ignore_index=True)
+
+
+def rare(options: Options, arguments: Sequence[str]) -> int:
+    """Do what the options ask for; returns the exit status."""
+    rates, asked = rates_of(options.rates), question(options)
+    with writing(options.out):
+        levels: tuple[float, ...] = ()
+        if not options.plain:
+            levels = analysis.choose(drive(options, asked, "pilot", [(rates[0], rates[0])], PILOT))
+            print(f"events near the ego come as often as at the rates {' and '.join(map(str, levels))}")
+        higher = {rate: [level for level in levels if level > rate] for rate in rates}
+        components = [(rate, level) for rate in rates for level in (rate, *higher[rate])]
+        episodes = drive(options, asked, "curve", components, options.episodes)
+        curve = analysis.curve(episodes, rates)
+        curve.insert(1, "events_per_hour", 3600.0 * asked.events * curve["rate"])
+        write_json(
+            options.out / "curve.json",
+            {
+                "command": shlex.join(["python", "experiments/rare.py", *arguments]),
+                "question": asdict(asked),
+                "levels": levels,
+                "episodes": len(episodes),
+                "steps": int(episodes["steps"].sum()),
+                "curve": curve.to_dict("records"),
+                "provenance": provenance(),
+            },
+        )
+        write_file(options.out / "curve.csv", curve.to_csv(index=False).encode())
+        title = f"{asked.entrant.name}, {asked.task} {asked.level}, drivers of dose {asked.dose:g}"
+        write_file(options.out / "curve.svg", rare_figure(curve, title).encode())
+    print(table(curve).to_string(index=False))
+    print(f"{len(episodes)} episodes; intervals: 95 %. Crashes without an event near the ego: {limit(curve)}")
+    print(f"written: {options.out / 'curve.json'}, curve.csv, curve.svg")
+    return 0
+
+
+def table(curve: pd.DataFrame) -> pd.DataFrame:
+    """What is printed: estimates with their intervals, and what is claimed."""
+    shown = pd.DataFrame()
+    for name, title in SHOWN.items():
+        shown[title] = curve[name].map("{:.2g}".format)
+        if f"{name}_low" in curve:
+            ends = zip(curve[f"{name}_low"], curve[f"{name}_high"], strict=True)
+            shown[title] += [f" [{low:.1e}, {high:.1e}]" for low, high in ends]
+    shown["crashes"] = curve["crashes_by_events"]
+    shown["effective"] = curve["effective_crashes"].map("{:.0f}".format)
+    shown["largest"] = curve["largest_share"].map("{:.0%}".format)
+    shown["claimed"] = curve["claim"]
+    return shown
+
+
+def limit(curve: pd.DataFrame) -> str:
+    """How often crashes happen without events, at the lowest rate, in words."""
+    first = curve.iloc[0]
+    if not first["crashes_without"]:
+        return f"none seen, fewer than {first['without_per_episode_high']:.1e} an episode"
+    low, high = first["without_per_episode_low"], first["without_per_episode_high"]
+    return f"{first['without_per_episode']:.1e} [{low:.1e}, {high:.1e}] an episode"
+
+
+if __name__ == "__main__":
+    command(lambda options: rare(options, sys.argv[1:]), Options, __doc__, resumes=True)

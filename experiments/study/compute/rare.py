@@ -1,0 +1,136 @@
+"""Episodes in which risk events come more often than at the rates that are asked about, in batches."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from agents.files import atomic
+from agents.policies import Policy
+from experiments.backends import make_env
+from experiments.study.compute.entrants import RULES, Entrant, entrants
+from experiments.study.compute.run import Heartbeat
+from experiments.study.design.arms import stream_seed
+from experiments.support.errors import UserError
+from experiments.support.files import canonical_json, made, sha256_bytes
+from sumo_env.tasks import TASKS
+
+KINDS = ("cut_in", "brake", "surge")
+
+
+@dataclass(frozen=True)
+class Question:
+    """Who drives, in what.
+
+    policy: as of `entrants`. dose: of the other drivers' parameters. reach: within which events are near [m].
+    identity: what else decides the result: the policy's file, and what the simulator does.
+    """
+
+    policy: str
+    task: str
+    level: str
+    dose: float
+    reach: float
+    seed: int
+    identity: str
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Of the environment."""
+        return {**TASKS[self.task].levels[self.level], "risk": self.dose}
+
+    @property
+    def entrant(self) -> Entrant:
+        """Who drives; agents that were trained at another level of the task drive at any. Raises UserError."""
+        found = entrants(self.policy)
+        fitting = [one for (task, _), one in found.items() if task == self.task or self.policy in RULES]
+        if not fitting:
+            raise UserError(f"no agent of {self.policy} was trained for {self.task}")
+        return found.get((self.task, self.level), fitting[0])
+
+    @property
+    def events(self) -> float:
+        """Events of a vehicle at the rate 1 [1/s]."""
+        return float(sum(getattr(TASKS[self.task].risk_rates, kind) for kind in KINDS))
+
+    def play(self, env: Any, policy: Policy, base: float, level: float, seed: int) -> dict[str, Any]:
+        """One episode with events at the rate `base`, and at the rate `level` near the ego."""
+        rates = {kind: getattr(TASKS[self.task].risk_rates, kind) * base / self.dose for kind in KINDS}
+        options = {"risk_rates": rates, "event_factor": max(level / base, 1.0), "event_reach": self.reach}
+        policy.reset(seed)
+        seen, info = env.reset(seed=seed, options=options)
+        over, steps, distance = False, 0, 0.0
+        while not over:
+            seen, _, terminated, truncated, info = env.step(policy.act(seen))
+            over, steps, distance = terminated or truncated, steps + 1, distance + info["distance"]
+        inner = env.unwrapped
+        end = min(inner.scene.time, inner.config["duration"])
+        lived = sum(max(end - start, 0.0) for _, start in inner.scenario.lifetimes)
+        near = info["expected_events"] / base
+        return {
+            "base": base,
+            "level": level,
+            "seed": seed,
+            "crashed": bool(info["crashed"]),
+            "steps": steps,
+            "km": distance / 1000.0,
+            "near": info["events"],
+            "near_expected": near,
+            "other": info["other_events"],
+            "other_expected": self.events * lived - near,
+        }
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some episodes of each component (a `run.Task`).
+
+    directory: of the results. part: "pilot" or "curve". rounds: episodes of each component. number: of the batch.
+    """
+
+    question: Question
+    directory: Path
+    part: str
+    components: tuple[tuple[float, float], ...]
+    rounds: int
+    number: int
+    silence: float = 900.0
+
+    @cached_property
+    def name(self) -> str:
+        """It says what is computed."""
+        key = {**asdict(self), "directory": "", "silence": 0}
+        return f"{self.part}-{self.number:04d}-{sha256_bytes(canonical_json(key).encode())[:12]}"
+
+    @property
+    def folder(self) -> Path:
+        """Its working folder."""
+        return self.directory / "work" / self.name
+
+    @property
+    def file(self) -> Path:
+        """Its episodes."""
+        return self.directory / "episodes" / f"{self.name}.parquet"
+
+    def done(self) -> bool:
+        """Whether its episodes are there."""
+        return self.file.exists()
+
+    def compute(self, heartbeat: Heartbeat) -> None:
+        """Drive and store them."""
+        asked, rows = self.question, []
+        numbers = [(k, component) for k in range(self.rounds) for component in self.components]
+        with closing(make_env("sumo", asked.task, asked.config)) as env:
+            seen, policy = asked.entrant.make(env)
+            for done, (k, (base, level)) in enumerate(numbers):
+                where = f"{base:g} {level:g}", self.number * self.rounds + k
+                seed = stream_seed(f"rare {self.part}", asked.task, asked.level, asked.seed, *where)
+                rows.append(asked.play(seen, policy, base, level, seed))
+                heartbeat(done / len(numbers))
+        with atomic(made(self.file.parent) / self.file.name) as file:
+            pd.DataFrame(rows).to_parquet(file)

@@ -1,0 +1,73 @@
+"""The command that asks how often a policy crashes where events are rare."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from experiments import rare
+from experiments.support.errors import UserError
+from experiments.support.files import read_json
+
+OPTIONS = rare.Options("slower", "u-turn", rates="0.3,1", dose=0.3, episodes=80)
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rare, "open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
+    monkeypatch.setattr(rare, "BATCH", 40)
+    monkeypatch.setattr(rare, "PILOT", 20)
+
+
+@pytest.mark.slow
+def test_a_curve_is_written_and_the_command_goes_on_where_it_was_stopped(tmp_path: Path, capsys) -> None:
+    options = replace(OPTIONS, out=tmp_path)
+    assert rare.rare(options, ["slower"]) == 0
+    said, files = capsys.readouterr().out, {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
+    found = read_json(tmp_path / "curve.json")
+    assert found["episodes"] >= 80 and [row["rate"] for row in found["curve"]] == [0.3, 1.0]
+    assert found["curve"][1]["events_per_hour"] == pytest.approx(1080.0)  # the u-turn's 0.3 events a second
+    assert pd.read_csv(tmp_path / "curve.csv")["claim"].tolist() == [row["claim"] for row in found["curve"]]
+    assert "<svg" in (tmp_path / "curve.svg").read_text() and "Crashes without an event" in said
+    next(iter(files)).unlink()
+    assert rare.rare(options, ["slower"]) == 0
+    assert read_json(tmp_path / "curve.json")["curve"] == found["curve"]
+    again = {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
+    assert again.keys() == files.keys() and sum(again[path] != files[path] for path in files) == 1
+    assert rare.rare(replace(options, plain=True, rates="1", episodes=40), ["slower"]) == 0
+    counted = read_json(tmp_path / "curve.json")
+    assert counted["levels"] == [] and counted["curve"][0]["effective_episodes"] == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"task": "u-trun"}, "u-turn"),
+        ({"level": "4"}, "level"),
+        ({"policy": "carefull"}, "careful"),
+        ({"policy": "none.py:make"}, "none.py"),
+        ({"dose": 0.0}, "--dose"),
+        ({"reach": -1.0}, "--reach"),
+        ({"episodes": 0}, "--episodes"),
+        ({"rates": "1e-4:x"}, "LOW:HIGH"),
+        ({"rates": "0"}, "LOW:HIGH"),
+        ({"rates": "1:2:3"}, "LOW:HIGH"),
+        ({"executor": "cloud"}, "executor"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_before_anything_is_driven(
+    changes: dict[str, Any], word: str, tmp_path: Path
+) -> None:
+    with pytest.raises(UserError, match=word):
+        rare.rare(replace(OPTIONS, out=tmp_path / "out", **changes), [])
+    assert not (tmp_path / "out" / "episodes").exists()
+
+
+def test_rates_are_two_in_each_decade_or_those_that_are_named() -> None:
+    assert rare.rates_of("1e-2:1") == (0.01, 0.0316, 0.1, 0.316, 1.0)
+    assert rare.rates_of("0.5,0.1") == (0.1, 0.5)

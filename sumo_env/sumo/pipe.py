@@ -24,6 +24,10 @@ def start(
         "start_new_session": True,  # Ctrl-C in the terminal is for this process alone; the same on Windows:
         "creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
     }
+    try:
+        os.getcwd()
+    except FileNotFoundError:  # somebody has deleted it, and Python does not start there
+        options["cwd"] = os.sep
     ours, theirs = socket.socketpair()
     with theirs:  # closed here, so that reading ends when the worker does
         if sys.platform == "win32":

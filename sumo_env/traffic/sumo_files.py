@@ -12,13 +12,20 @@ import re
 import shutil
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
 from sumo_env.config import ConfigError
 from sumo_env.traffic.attributes import schema
+
+try:
+    import fcntl
+except ImportError:  # as on Windows
+    fcntl: Any = None  # type: ignore[no-redef]
 
 # Short and old names of options that are read or left out here (`sumo --print-options true` lists all).
 SYNONYMS = {
@@ -198,9 +205,20 @@ def temporary_folder() -> str:
 
 
 def own_folder() -> Path:
-    """A folder for files of this process, which deletes it at its end; a copy of the process has its own."""
+    """A folder for files of this process, which deletes it at its end; a copy of the process has its own.
+
+    That of a process that was killed is deleted by a later one, which finds its lock free.
+    """
     if os.getpid() not in _folders:
-        _folders[os.getpid()] = Path(tempfile.mkdtemp(prefix=PREFIX, dir=temporary_folder()))
+        parent = temporary_folder()
+        for lock in Path(parent).glob(f"{PREFIX}*/lock"):
+            with suppress(OSError), lock.open("rb") as left:
+                _hold(left.fileno())
+                shutil.rmtree(lock.parent, ignore_errors=True)
+        folder = _folders[os.getpid()] = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
+        with suppress(OSError):
+            _hold(os.open(folder / "new", os.O_CREAT | os.O_WRONLY))  # which stays open
+            (folder / "new").rename(folder / "lock")  # once it is not free
         atexit.register(delete_own_folder)
     return _folders[os.getpid()]
 
@@ -209,6 +227,13 @@ def delete_own_folder() -> None:
     """Delete the folder of this process, if it has one."""
     if folder := _folders.pop(os.getpid(), None):
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _hold(lock: int) -> None:
+    """Hold the lock of an open file until this process and all its copies have ended; OSError where that cannot be."""
+    if fcntl is None:
+        raise OSError("this system has no such locks")
+    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def seconds(option: str, text: str) -> float:

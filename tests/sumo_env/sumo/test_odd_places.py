@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 from sumo_env.networks.mapping import network
 from sumo_env.sumo import pipe, process
-from tests.processes import ended, python
+from tests.processes import ended, python, started
 
 # SUMO takes a comma as the end of a name, and ${HOME} as a variable; PYTHONPATH takes a colon as the end of a name.
 NAME = "one, two: ${HOME} $HOME%2C;"
@@ -50,9 +51,28 @@ def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
     assert [path.name for path in folder.iterdir()] == ["sumo_env"]
 
 
+def test_the_folder_of_a_killed_process_is_deleted_by_a_later_one(tmp_path: Path) -> None:
+    """That of a process that is alive is not."""
+    mine = "from sumo_env.traffic.sumo_files import own_folder\nprint(own_folder(), flush=True)\n"
+    waits = mine + "import time\ntime.sleep(60)\n"
+    alive, killed = (started("-c", waits, TMPDIR=str(tmp_path)) for _ in range(2))
+    with alive, killed:
+        folders = [Path(one.stdout.readline().strip()) for one in (alive, killed)]
+        killed.kill()
+        killed.wait()
+        assert all(folder.is_dir() for folder in folders)
+        python("-c", mine, TMPDIR=str(tmp_path))
+        assert list(tmp_path.iterdir()) == folders[:1]
+        alive.send_signal(signal.SIGINT)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> None:
-    """Nor does it matter what else is in the search path."""
-    odd = "import sys, pathlib; sys.executable = None; sys.path += [pathlib.Path('/tmp'), b'/tmp', None]\n"
+    """Nor does it matter what else is in the search path, or whether the working folder is still there."""
+    odd = (
+        "import os, sys, pathlib; sys.executable = None; sys.path += [pathlib.Path('/tmp'), b'/tmp', None]\n"
+    )
+    odd += "os.mkdir('/tmp/gone-%d' % os.getpid()); os.chdir('/tmp/gone-%d' % os.getpid()); os.rmdir(os.getcwd())\n"
     assert python("-c", odd + DRIVE).splitlines() == expected
 
 

@@ -12,7 +12,7 @@ from sumo_env.networks.mapping import Network
 from sumo_env.networks.meeting import edge_of
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import NOBODY, RED, YELLOW, Light, Neighbour, Place
-from sumo_env.simulator import EgoCommand
+from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.ego import coast, driven
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.surroundings import foe, neighbours
@@ -158,7 +158,10 @@ class RouteEgo:
         of = session.vehicle
         self._lane, self.ahead = lane, of.getRoute(self._name)[max(of.getRouteIndex(self._name), 0) :]
         if lane not in self._network.indices:
-            raise ValueError(f"{self._name!r} ({self._class}) is on {lane!r}, no lane for vehicles of roads")
+            raise SimulatorError(
+                f"the ego {self._name!r} ({self._class}) is on {lane!r}, no lane for vehicles of roads: take another "
+                "one, or a network that has no lane for cars"
+            )
         self._index = self._network.indices[lane]
         self._leads_on, self._may_turn, self._sides = True, True, (None, None)
         self._reaches = 0.0, 0.0

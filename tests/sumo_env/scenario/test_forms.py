@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from sumo_env.env import SumoDrivingEnv
+from sumo_env.simulator import SimulatorError
 from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.test_oracle import differences, driven
@@ -19,8 +20,10 @@ from tests.sumo_env.scenario.test_oracle import differences, driven
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
 SECONDS = 12
 SECOND = {"simulation_frequency": 1, "duration": 99}
-EGO = '<trip id="ego" depart="0" from="A0A1" to="B1B0"/>'
-ROUTES = f'{EGO}<flow id="f" begin="0" end="99" probability="0.4" from="A0A1" to="B1B0"/>'
+WAY = 'from="A0A1" to="B1B0"'
+PLACE = 'lane="A1B1_0" startPos="20" endPos="60"'
+EGO = f'<trip id="ego" depart="0" {WAY}/>'
+ROUTES = f'{EGO}<flow id="f" begin="0" end="99" probability="0.4" {WAY}/>'
 ADDITIONAL = '<vType id="DEFAULT_VEHTYPE" tau="1.3"/>'
 TEXT = """<{root}>
 <input><net-file value="{net}"/><route-files value="{routes}"/><additional-files value="{additional}"/></input>
@@ -123,6 +126,39 @@ CONTENTS: dict[str, dict[str, str]] = {  # of routes ("r") and additional files 
     },
     "people": {"r": f'{ROUTES}<person id="p" depart="1"><walk from="A0A1" to="A1B1"/></person>'},
     "no file of what is included": {"r": f'{ROUTES}<include href="nobody.xml"/>'},
+    "types by chance": {
+        "r": f'<vTypeDistribution id="mix"><vType id="t"/><vType id="u" vClass="truck"/></vTypeDistribution>'
+        f'{EGO}<flow id="g" type="mix" begin="0" end="60" vehsPerHour="1800" {WAY}/>'
+    },
+    "a number of vehicles with words": {
+        "r": f'{EGO}<flow id="g" begin="0" end="60" number="30" departLane="random" departPos="random_free" {WAY}/>'
+    },
+    "a bus stop and a parking area": {
+        "a": f'<busStop id="s" {PLACE}/><parkingArea id="p" {PLACE} roadsideCapacity="3"/>',
+        "r": f'{EGO}<vehicle id="v" depart="0"><route edges="A0A1 A1B1 B1B0"/><stop busStop="s" duration="3"/>'
+        '</vehicle><vehicle id="w" depart="1"><route edges="A0A1 A1B1 B1B0"/><stop parkingArea="p" duration="9"/>'
+        "</vehicle>",
+    },
+    "a calibrator": {
+        "a": '<calibrator id="c" lane="A0A1_0" pos="20" freq="5"><route id="r" edges="A0A1 A1B1"/>'
+        '<flow begin="0" end="60" route="r" vehsPerHour="1800" speed="10"/></calibrator>'
+    },
+    "a street that is closed": {
+        "a": '<rerouter id="r" edges="A0A1"><interval begin="5" end="99"><closingReroute id="A1B1"/></interval>'
+        "</rerouter>"
+    },
+    "a sign of speed": {
+        "a": '<variableSpeedSign id="v" lanes="A0A1_0 A0A1_1"><step time="3" speed="4"/></variableSpeedSign>'
+    },
+    "districts": {
+        "a": '<taz id="y"><tazSource id="A0A1" weight="1"/></taz><taz id="z"><tazSink id="B1B0" weight="1"/></taz>',
+        "r": f'{EGO}<flow id="g" begin="0" end="60" period="2" fromTaz="y" toTaz="z"/>',
+    },
+    "a taxi": {
+        "r": f'{EGO}<vType id="t" vClass="taxi"><param key="has.taxi.device" value="true"/></vType>'
+        f'<trip id="x" type="t" depart="0" {WAY}/>'
+        '<person id="p" depart="1"><ride from="A1B1" to="B1B0" lines="taxi"/></person>'
+    },
 }
 
 
@@ -247,6 +283,13 @@ def test_a_train_on_rails_alone(tmp_path: Path) -> None:
         *_, (*_, info) = drive(env, 3, seed=0)
         env.close()
         assert info["rewards"]["arrived_reward"] == 1.0
+    road = '<edge id="ca" from="c" to="a" numLanes="1" speed="20" allow="passenger"/>'
+    both = build(tmp_path, ("a 0 0, b 300 0, c 600 50", f"<edges>{edges}{road}</edges>"))
+    with (
+        closing(SumoDrivingEnv(both, tmp_path / "r.rou.xml", ego_vehicle="ego")) as env,
+        pytest.raises(SimulatorError, match=r"ego.*rail.*no lane for cars"),
+    ):
+        env.reset(seed=0)
 
 
 def test_arguments_of_any_name(

@@ -245,6 +245,13 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     return config
 
 
+def refuse_arguments(unknown: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """Python's own TypeError about unknown arguments, which says how a key of a configuration (`known`) is set."""
+    for key, value in unknown.items():
+        hint = f"; a key of the configuration is set by config={{{key!r}: {value!r}}}" if key in known else ""
+        raise TypeError(f"__init__() got an unexpected keyword argument {key!r}{hint}")
+
+
 def pace(simulation_frequency: int, policy_frequency: int) -> float:
     """Policy steps in a second of simulated time [Hz]; one has a whole number of simulation steps."""
     return simulation_frequency / (simulation_frequency // policy_frequency)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import PlainAction, ego_route
 from sumo_env.as_highway_env import class_or_instance
-from sumo_env.config import COMMON, Config, ConfigError, pace, tell_of_steps
+from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_arguments, tell_of_steps
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import ending, information, interface, on_its_way, paid_late
 from sumo_env.networks.roads import LaneIndex
@@ -69,9 +69,11 @@ class DrivingEnv(OnScreen, OwnSumo):
         sumo_options: Sequence[str] = (),
         live: str | None = None,
         output_dir: str | Path | None = None,
+        **unknown: Any,
     ) -> None:
         self._refuse_overrides()
         self.task: Task = get_task(task)
+        refuse_arguments(unknown, self.default_config())
         self._prepare_sumo(simulator, sumo_options, live, output_dir)
         self._open(render_mode)
         self._configured: Config | None = None

@@ -17,9 +17,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
+from sumo_env.config import COMMON, refuse_arguments
 from sumo_env.driving import DrivingEnv
 from sumo_env.interface import actions_of, seeds_of
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
+from sumo_env.tasks import get_task
 from sumo_env.tasks.base import Task
 
 
@@ -49,7 +51,9 @@ class SumoVectorEnv(SyncVectorEnv):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        **unknown: Any,
     ) -> None:
+        refuse_arguments(unknown, {**COMMON, **get_task(task).defaults})
         self._pool = ThreadPoolExecutor(num_envs, thread_name_prefix="sumo_env")
         self._ahead = [
             _Ahead(DrivingEnv(task, config, render_mode, SumoProcess()), self._pool) for _ in range(num_envs)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sumo_env.as_highway_env import class_or_instance
-from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of
+from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_arguments
 from sumo_env.driving import DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import OFFSETS, Kinematics
@@ -23,6 +23,7 @@ from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import form_of
 from sumo_env.replica.simulator import Replica
 from sumo_env.scene import Scene
+from sumo_env.tasks import get_task
 from sumo_env.tasks.asked import VARIED
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
@@ -103,6 +104,7 @@ class ReplicaEnv(DrivingEnv):
         variant: str = "stock",
         risk_law: str = LAWS[0],
         version: int = 0,
+        **unknown: Any,
     ) -> None:
         if version and (task, version) not in VERSIONS:
             known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)
@@ -112,6 +114,7 @@ class ReplicaEnv(DrivingEnv):
         self._is_linear = one_of("risk_law", risk_law, LAWS) == "linear"
         self._is_fast = task == "highway-fast"
         self.replica = Replica(variant, self._is_linear, ego_contacts=self._is_fast)
+        refuse_arguments(unknown, {**COMMON, **get_task(task).defaults})
         super().__init__(task, config, render_mode, self.replica)
 
     # -- configuration -------------------------------------------------------------------------------------

@@ -245,7 +245,7 @@ FOR_FILES = (
 fleet = partial(partial, sumo_env.parallel_env)
 replica, batch = partial(gym.make, "replica/roundabout-v0"), partial(gym.make_vec, "replica/highway-v0", 2)
 CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
-    *((partial(make, f"{room}/highway-v0", risk=1.0), TypeError, "'risk'")
+    *((partial(make, f"{room}/highway-v0", risk=1.0), TypeError, "set by config")
       for make in (gym.make, gym.make_vec) for room in ("sumo", "replica")),
     (partial(gym.make_vec, "sumo/highway-v0", sumo_options=["-v"]), TypeError, "'sumo_options'"),
     (partial(gym.make, "sumo/highway-v0", variant="v0"), TypeError, "'variant'"),

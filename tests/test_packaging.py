@@ -8,7 +8,9 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import venv
+import zipfile
 from functools import partial
 from pathlib import Path
 
@@ -89,7 +91,7 @@ def test_hostile_files_beside_the_script_change_nothing(python: Path, tmp_path: 
     assert Path(done.stdout.strip()).is_relative_to(site_packages(python))
 
 
-def test_a_clone_without_symbolic_links_works(source: Path, tmp_path: Path) -> None:
+def test_a_clone_without_symbolic_links_is_whole(python: Path, source: Path, tmp_path: Path) -> None:
     """Git makes such clones on Windows: a file is in the place of the link."""
     link = source / "sumo_env" / "networks"
     link.unlink()
@@ -100,9 +102,41 @@ def test_a_clone_without_symbolic_links_works(source: Path, tmp_path: Path) -> N
         environment = {**clean_environment(), "PYTHONPATH": str(source)}
         run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True, check=True)
         assert Path(run([sys.executable, script], env=environment).stdout.strip()).is_relative_to(source)
+        build = f"from setuptools import build_meta; print(build_meta.build_wheel({str(tmp_path)!r}))"
+        run([sys.executable, "-c", build], cwd=source)
     finally:
         link.unlink()
         link.symlink_to("../networks")
+    with_link, without = (
+        {name for name in zipfile.ZipFile(wheel).namelist() if name.startswith("sumo_env/")}
+        for folder in (source.parent, tmp_path)
+        for wheel in folder.glob("*.whl")
+    )
+    assert sorted(without ^ with_link) == [] and "sumo_env/networks/u_turn/u_turn.net.xml" in without
+
+
+def test_addresses_are_filled_in_at_once(tmp_path: Path) -> None:
+    names = [
+        "pyproject.toml",
+        "CITATION.cff",
+        "mkdocs.yml",
+        "docs/templates/README.md.j2",
+        "sumo_env/hints.py",
+    ]
+    for name in [*names, "Makefile"]:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    assert subprocess.run(["make", "addresses"], cwd=tmp_path, capture_output=True).returncode
+    command = ["make", "addresses", "REPOSITORY=https://a.example/me/it", "DOCUMENTATION=https://b.example"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    texts = [(tmp_path / name).read_text(encoding="utf-8") for name in names]
+    assert not any("address: " in text or "REPOSITORY" in text for text in texts)
+    urls = tomllib.loads(texts[0])["project"]["urls"]
+    assert (urls["Repository"], urls["Documentation"]) == ("https://a.example/me/it", "https://b.example")
+    assert "\nrepository-code: https://a.example/me/it\n" in texts[1]
+    assert "\nrepo_url: https://a.example/me/it\nsite_url: https://b.example/\n" in texts[2]
+    assert "\n[![tests](https://a.example/me/it/actions/" in texts[3]
+    assert '\nDOCUMENTATION = "https://b.example"\n' in texts[4]
 
 
 def test_the_source_distribution_holds_documentation_and_tests(source: Path, tmp_path: Path) -> None:

@@ -122,6 +122,7 @@ class Events:
         self._running: dict[str, Running] = {}  # what commands a vehicle, but for cut-ins
         self._states: dict[str, State] = {}  # of all vehicles in this sub-step, once somebody has looked
         self._squares: dict[tuple[float, float], list[str]] = {}  # of the plane, with the vehicles there
+        self._longest = LENGTH  # [m] of a vehicle that is there, at least of a car
 
     def act(self, time: float, dt: float) -> None:
         """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
@@ -163,6 +164,7 @@ class Events:
         """Where all vehicles are."""
         if not self._states:
             self._states, self._squares = self._session.read(self._road), defaultdict(list)
+            self._longest = max((LENGTH, *(length for length, _ in self._session.sizes.values())))
             for name, (x, y, _, _) in self._states.items():
                 self._squares[x // SQUARE, y // SQUARE].append(name)
         return self._states
@@ -231,8 +233,7 @@ class Events:
         geometry = self._network.road.lane(lane)
         s, _ = geometry.local_coordinates(x, y)
         there = *geometry.position(s, 0.0), speed, geometry.heading_at(s)
-        longest = max((length for length, _ in self._session.sizes.values()), default=0.0)
-        states = self._near(*there[:2], LOOKED_AT + max(longest, LENGTH))
+        states = self._near(*there[:2], LOOKED_AT + self._longest)
         states.pop(name, None)
         # what is smaller than a car is given the room of one
         halves = [

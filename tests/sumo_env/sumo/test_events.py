@@ -280,6 +280,23 @@ def test_all_surging_vehicles_look_at_the_others_once_in_a_sub_step(
     assert found[1] == found[0] + 10 and found[2] == found[1]
 
 
+def test_cut_ins_look_for_the_longest_vehicle_once_in_a_sub_step(simulator: SumoSimulator) -> None:
+    looked = 0
+
+    class Sizes(dict[str, tuple[float, float]]):
+        def values(self) -> Any:
+            nonlocal looked
+            looked += 1
+            return super().values()
+
+    scenario = draw("highway", vehicles_count=40)
+    events = tuple(RiskEvent(0.0, spec.id, "cut-in", direction=1) for spec in scenario.vehicles)
+    simulator.reset(replace(scenario, events=events))
+    simulator._session.sizes = Sizes()
+    assert len(simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}).scene.in_event) > 5
+    assert looked == 1
+
+
 def test_surging_vehicles_look_at_those_near_them_alone(
     simulator: SumoSimulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -73,7 +73,7 @@ def entries(outcome: str) -> str:
         for row in card["rows"]:
             if row["level"] == ALL and card["set"][row["task"]] == evaluate.identity(row["task"]):
                 cells[row["task"]].append(points(row[outcome][0], outcome, signed=False))
-        lines.append([f"`{name}`", *map(" / ".join, cells.values()), str(card["scenarios"])])
+        lines.append([f"`{name}`", *map("/".join, cells.values()), str(card["scenarios"])])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -72,6 +72,8 @@ def write(
         "episode.sumocfg": _configuration(inputs, "recorded.fcd.xml", step, len(scenes)),
     }
     folder.mkdir(parents=True, exist_ok=True)
+    for name in (inputs["net-file"], *contents):
+        (folder / name).unlink(missing_ok=True)  # a link in its place is not followed
     shutil.copyfile(road.net_file, folder / inputs["net-file"])
     for name, root in contents.items():
         ElementTree.indent(root)

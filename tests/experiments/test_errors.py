@@ -93,7 +93,6 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
         ("outcomes.py:crashed", "already"),
     ]),
     (lambda: report.write_report(Path("frozen")), "FROZEN.md"),
-    (lambda: report.write_report(Path("mine"), Path("frozen")), "FROZEN.md"),
     (lambda: check_film(Path("film.gif.txt"), ".gif"), "ends in"),
     (lambda: check_film(Path("nowhere/film.gif"), ".gif"), "there is no folder"),
     (validated(quick=True), "--update"),

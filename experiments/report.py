@@ -103,7 +103,11 @@ def own_outcome(name: str) -> tuple[str, Outcome]:
 
 def own_values(name: str, of: Callable[[pd.DataFrame], Any], episodes: pd.DataFrame) -> Any:
     """What a user's function makes of the episodes. Raises UserError unless it is one finite number for each."""
-    values = np.asarray(of(episodes), dtype=float)
+    try:
+        values = np.asarray(of(episodes), dtype=float)
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}".partition("\n")[0]
+        raise UserError(f"the outcome {name} cannot be computed: {why}") from error
     if values.shape != (len(episodes),):
         raise UserError(
             f"the outcome {name} has the shape {values.shape}, not a number for each of {len(episodes)}"

@@ -262,6 +262,8 @@ def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
     [
         ("closing", r"closing is nan in scenario \d+ of"),
         ("few", "few has the shape"),
+        ("words", "words cannot be computed: ValueError"),
+        ("absent", "absent cannot be computed: KeyError"),
     ],
 )
 def test_an_outcome_that_is_no_number_for_each_episode_is_refused(name, message, tmp_path):

@@ -196,7 +196,7 @@ def whole_number(name: str, value: Any, most: int) -> int:
     Raises:
         ConfigError: it is none.
     """
-    if not isinstance(value, int | float) or value != int(value) or not 1 <= value <= most:
+    if not isinstance(value, int | float) or not 1 <= value <= most or value != int(value):
         raise ConfigError(f"{name} must be a whole number from 1 to {most}, not {value!r}")
     return int(value)
 

@@ -6,6 +6,7 @@ changed on the machine.
 
 from __future__ import annotations
 
+import argparse
 import platform
 import sys
 import time
@@ -108,6 +109,7 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
 
 def main() -> int:
     """Make all checks; returns the exit status."""
+    argparse.ArgumentParser("python -m sumo_env", description=__doc__).parse_args()
     return examine(CHECKS, sys.stdout)
 
 

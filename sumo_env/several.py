@@ -47,7 +47,7 @@ def asked(config: Mapping[str, Any] | None, cars: int = 1) -> Asked:
     """
     plain = dict(keys_of(config))
     count = plain.pop("controlled_vehicles", cars)
-    whole_number("'controlled_vehicles'", count, MOST_VEHICLES)
+    count = whole_number("'controlled_vehicles'", count, MOST_VEHICLES)
     shared = {}
     for key, kind in SHARED.items():
         entry = plain.get(key)

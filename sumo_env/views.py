@@ -52,6 +52,13 @@ def only_read(name: str) -> AttributeError:
     )
 
 
+class _Vehicles(tuple["Vehicle", ...]):
+    """All vehicles; in highway-env, scripts append to this list."""
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise only_read("vehicles") if hasattr(list, name) else AttributeError(name)
+
+
 class View:
     """Values that can only be read; an error about another one says what to use instead."""
 
@@ -385,6 +392,6 @@ def road_view(
                 **more,
             )
         )
-    vars(view)["vehicles"] = tuple(vehicle for vehicle in vehicles if not is_obstacle(vehicle.id))
+    vars(view)["vehicles"] = _Vehicles(vehicle for vehicle in vehicles if not is_obstacle(vehicle.id))
     vars(view)["objects"] = tuple(vehicle for vehicle in vehicles if is_obstacle(vehicle.id))
     return view

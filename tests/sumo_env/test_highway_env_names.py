@@ -322,7 +322,7 @@ def test_what_is_not_there_says_where_to_look_and_what_is_read_cannot_be_written
         env.vehicle.speed = 30.0
     with pytest.raises(ValueError, match="read-only"):
         env.vehicle.position[0] = 0.0
-    with pytest.raises(AttributeError, match="append"):
+    with pytest.raises(AttributeError, match="own-parts"):
         env.road.vehicles.append(env.vehicle)
 
     env.close()

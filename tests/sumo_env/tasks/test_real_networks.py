@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import random
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,18 @@ def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Pa
         near = road.lanes_near(x, y, reach)
         beside = {index for index, lane in road.lanes.items() if lane.distance(x, y) <= reach}
         assert beside <= set(near) and len(near) < len(road.lanes)
+
+
+def test_a_network_that_somebody_has_is_not_read_again(
+    pieces: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copies = [shutil.copy(pieces, tmp_path / f"{number}.net.xml") for number in range(12)]
+    had = [files.network(copy) for copy in copies]
+    with monkeypatch.context() as patched:
+        patched.setattr(files, "_read", None)
+        assert [files.network(copy) for copy in copies] == had
+    Path(copies[0]).write_bytes(pieces.read_bytes() + b"\n")
+    assert files.network(copies[0]) is not had[0]
 
 
 def test_edges_of_a_metre_are_driven_and_turns_missed_beyond_them(pieces: Path) -> None:

@@ -23,7 +23,7 @@ from experiments.backends import make_env
 from experiments.study.compute import run as runner
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.executors.local import LocalExecutor
-from experiments.study.compute.progress import ProgressDisplay
+from experiments.study.compute.progress import LENGTH, STEP, ProgressDisplay
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import level_names
@@ -49,6 +49,7 @@ BIN = 0.25  # [s] of the headway histogram
 BINS = 40  # the last one holds everything beyond 9.75 s
 HEADWAYS = [f"headway_{k:02d}" for k in range(BINS)]  # columns: observations in each bin
 SIZE = 25  # scenarios in a part
+START = 1.5  # [s] of a part before its first episode, for the progress line
 # Columns of the table of episodes, with their types.
 COLUMNS: dict[str, str] = {
     "task": "str",
@@ -285,7 +286,7 @@ def run(parts: Sequence[Part], directory: Path, workers: int) -> pd.DataFrame:
     tasks = [replace(part, directory=directory) for part in parts]
     there = [task.name for task in tasks if task.done()]
     missing = [task for task in tasks if task.name not in there]
-    sizes = {task.name: float(len(task.episodes())) for task in tasks}
+    sizes = {task.name: START + len(task.episodes()) * LENGTH * STEP[task.engine.backend] for task in tasks}
     with closing(ProgressDisplay(directory / "work", sizes, there, "parts")) as progress:
         failures = runner.run(missing, LocalExecutor(workers), workers, progress)
     for name, reason in failures.items():

@@ -34,7 +34,7 @@ sweep: setup
 # Analyses, reports and pages again, from the stored test episodes. All of these are in the repository. ARCHIVE=ADDRESS
 # first unpacks an archive of more folders of results. To train agents again: the commands in the folders' PUBLISHED.md.
 # Frozen folders are left out: results/FROZEN.md.
-FROZEN := $(addprefix results/,standard second first-clock crash-reward pairs replica paper paper-v0 linear)
+FROZEN := $(addprefix results/,standard second first-clock crash-reward pairs replica paper paper-v0 linear choice-3)
 FOLDERS ?= $(filter-out $(FROZEN),$(patsubst %/sweep.json,%,$(wildcard results/*/sweep.json)))
 ARCHIVE ?=
 results: setup

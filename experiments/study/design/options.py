@@ -29,7 +29,7 @@ class Asked:
     backend: Annotated[str | None, argument("NAME", "sumo")] = None
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
-    """Size: smoke (a minute), quick (10 minutes), choice, study, paper (hours)."""
+    """Size: smoke (a minute), quick (10 minutes), study, paper (hours)."""
     tasks: Annotated[Names, TASK] = None
     levels: Annotated[tuple[int, ...] | None, argument("LEVEL ...")] = None
     """Traffic levels by number; 1 is the lightest, none are all."""

@@ -52,14 +52,6 @@ def tuned(updates: Mapping[str, int], **settings: Any) -> dict[str, dict[str, An
     return {task: {"updates": budget, **LONGER.get(task, {}), **settings} for task, budget in updates.items()}
 
 
-AGENTS = Experiment(  # of the study, and of the choice of its learner
-    preset="",
-    about="",
-    seeds=5,
-    episodes=400,
-    gate_episodes=100,
-    learners=tuned({task: own.study_steps for task, own in SHEETS.items()}),
-)
 PRESETS = {
     experiment.preset: experiment
     for experiment in (
@@ -81,10 +73,13 @@ PRESETS = {
             gate_episodes=100,
             learners=tuned({task: own.quick_updates for task, own in SHEETS.items()}),
         ),
-        replace(
-            AGENTS,
+        Experiment(
             preset="study",
             about="the study (docs/developers/plan_v5.md): 18 settings, five seeds, 400 scenarios: 21 core hours",
+            seeds=5,
+            episodes=400,
+            gate_episodes=100,
+            learners=tuned({task: own.study_steps for task, own in SHEETS.items()}),
             first_seed=300,
             first_scenario=4000,
             test_on=("replica",),
@@ -93,15 +88,6 @@ PRESETS = {
             drivers=("planner", "sumo"),
             pairs=True,
             at_ends={"highway": "no-brake", "u-turn": "no-cut-in"},
-        ),
-        replace(
-            AGENTS,
-            preset="choice",
-            about="the choice of the learner (experiments/choose.py), by agents that no report uses: hours",
-            seeds=3,
-            episodes=200,
-            first_seed=7000,
-            first_scenario=70_000,
         ),
         Experiment(
             preset="paper",

@@ -18,7 +18,7 @@ import gymnasium as gym
 if TYPE_CHECKING:
     from sumo_env.benchmark import benchmark_scenarios as benchmark_scenarios
     from sumo_env.check import check_task as check_task
-    from sumo_env.driving import DrivingEnv as DrivingEnv
+    from sumo_env.env import DrivingEnv as DrivingEnv
     from sumo_env.env import SumoDrivingEnv as SumoDrivingEnv
     from sumo_env.tasks.base import Task as Task
 
@@ -27,12 +27,12 @@ _HERE = Path(__file__).parent
 if not (_HERE / "networks").is_dir():
     __path__.append(str(_HERE.parent))
 
-from sumo_env.hints import NOT_HERE  # noqa: E402  (below the path of sumo_env.networks)
+from sumo_env.not_here import NOT_HERE  # noqa: E402  (below the path of sumo_env.networks)
 from sumo_env.tasks import TASKS as _TASKS  # noqa: E402
 
 __version__ = "0.1.0"
 
-# What runs; ids of highway-env that do not are `sumo_env.hints.NOT_HERE`.
+# What runs; ids of highway-env that do not are `sumo_env.not_here.NOT_HERE`.
 IDS = tuple(f"sumo/{name}-v0" for name in _TASKS)
 REPLICA_IDS = tuple(f"replica/{name}-v0" for name, task in _TASKS.items() if task.versions)
 
@@ -74,7 +74,7 @@ def register(id: str, task: Any) -> None:
         gym.registry.pop(id, None)
     gym.register(
         id,
-        entry_point="sumo_env.several:make",
+        entry_point="sumo_env.env.cars:make",
         vector_entry_point="sumo_env.vector:SumoVectorEnv",
         kwargs={"task": task},
     )
@@ -88,7 +88,7 @@ def parallel_env(env: Any, config: Any = None, **keywords: Any) -> Any:
 
 
 # What is imported when it is asked for, so that ``import sumo_env`` takes no time.
-_LATER = {"DrivingEnv": "sumo_env.driving", "SumoDrivingEnv": "sumo_env.env", "Task": "sumo_env.tasks.base",
+_LATER = {"DrivingEnv": "sumo_env.env", "SumoDrivingEnv": "sumo_env.env", "Task": "sumo_env.tasks.base",
           "check_task": "sumo_env.check", "benchmark_scenarios": "sumo_env.benchmark"}  # fmt: skip
 
 
@@ -110,14 +110,14 @@ for _id in (*IDS, SUMO_FAST_ID):
 for _id in (*REPLICA_IDS, FAST_ID, *LATER_IDS):
     gym.register(
         _id,
-        entry_point="sumo_env.several:make_replica",
+        entry_point="sumo_env.env.cars:make_replica",
         vector_entry_point="sumo_env.replica.vector:make",
         kwargs={"task": task_of(_id), "version": version_of(_id)},
     )
 for _version, _id in enumerate(TUPLE_IDS):
     gym.register(
         _id,
-        entry_point="sumo_env.several:make_replica",
+        entry_point="sumo_env.env.cars:make_replica",
         kwargs={
             "task": "intersection",
             "version": _version - _version % 2,
@@ -128,10 +128,10 @@ for _version, _id in enumerate(TUPLE_IDS):
 for _id in SUMO_TUPLE_IDS:
     gym.register(
         _id,
-        entry_point="sumo_env.several:make",
+        entry_point="sumo_env.env.cars:make",
         kwargs={"task": "intersection", "cars": 2, "per_car": version_of(_id) > 0},
     )
 for _id in NOT_HERE:
-    _not_here = "sumo_env.hints:not_here"
+    _not_here = "sumo_env.not_here:not_here"
     gym.register(_id, entry_point=_not_here, vector_entry_point=_not_here, kwargs={"id": _id})
     gym.registry[_id].name += ", not here"  # so that gymnasium calls no version before it out of date

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sumo_env.config import Config, ConfigError, resolve
-from sumo_env.driving import DrivingEnv
+from sumo_env.env import DrivingEnv
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
 

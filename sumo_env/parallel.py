@@ -12,9 +12,9 @@ import gymnasium as gym
 import numpy as np
 
 from sumo_env.config import ConfigError
-from sumo_env.driving import DrivingEnv
+from sumo_env.env import DrivingEnv
+from sumo_env.env.cars import REPLICA, Cars, Seen, asked
 from sumo_env.networks import files
-from sumo_env.several import REPLICA, Cars, Seen, asked
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.asked import OPTIONS
 from sumo_env.tasks.base import Task
@@ -201,11 +201,11 @@ def parallel_env(
         config, env = {**(config or {}), "controlled_vehicles": fleet.max_cars}, fleet
     elif isinstance(env, str) and env not in TASKS:
         spec = gym.spec(env)
-        if not str(spec.entry_point).startswith("sumo_env.several:"):
+        if not str(spec.entry_point).startswith("sumo_env.env.cars:"):
             raise ConfigError(f"{env!r} is not an environment of sumo_env")
         keywords = {**{key: value for key, value in spec.kwargs.items() if key != "per_car"}, **keywords}
         env = keywords.pop("task")
-        if spec.entry_point == "sumo_env.several:make_replica":
+        if spec.entry_point == "sumo_env.env.cars:make_replica":
             make = resolve_name(REPLICA)
     if make is not DrivingEnv and remove_crashed:
         raise ConfigError("remove_crashed: crashed cars stay on the road on highway-env's physics")

@@ -18,8 +18,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from sumo_env.config import COMMON, refuse_arguments
-from sumo_env.driving import DrivingEnv
-from sumo_env.interface import actions_of, seeds_of
+from sumo_env.env import DrivingEnv
+from sumo_env.spaces.interface import actions_of, seeds_of
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import Task

@@ -121,7 +121,7 @@ def test_addresses_are_filled_in_at_once(tmp_path: Path) -> None:
         "CITATION.cff",
         "mkdocs.yml",
         "docs/templates/README.md.j2",
-        "sumo_env/hints.py",
+        "sumo_env/not_here.py",
     ]
     for name in [*names, "Makefile"]:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -148,8 +148,8 @@ def test_the_source_distribution_holds_documentation_and_tests(source: Path, tmp
     wanted = {
         "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "Makefile", "mkdocs.yml", "requirements.lock",
         "docs/own-parts.md", "docs/environments/highway.md", "docs/img/films/highway.gif", "examples/tour.ipynb",
-        "tests/test_packaging.py", "tests/sumo_env/test_env.py", "agents/dqn.py", "experiments/sweep.py",
-        "experiments/templates/report.html.j2", "networks/build.py", "sumo_env/env.py",
+        "tests/test_packaging.py", "tests/sumo_env/env/test_driving.py", "agents/dqn.py", "experiments/sweep.py",
+        "experiments/templates/report.html.j2", "networks/build.py", "sumo_env/env/driving.py",
         "networks/u_turn/u_turn.net.xml",
     }  # fmt: skip
     assert wanted - files == set()

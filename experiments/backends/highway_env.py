@@ -34,15 +34,15 @@ from experiments.backends.highway_env_vehicle import (
     PathVehicle,
     ScenarioVehicle,
 )
-from sumo_env import export
 from sumo_env.config import Config, ConfigError, one_of, resolve
 from sumo_env.contacts import measures
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import State, separation, state_of, states
-from sumo_env.interface import information, interface
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.replica.linear import LAWS, LinearDriver, draw, linear_drivers
 from sumo_env.scene import OBSTACLE_SIZE, Scene
+from sumo_env.spaces.interface import information, interface
+from sumo_env.sumo import export
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.risk import RiskEvent, free_way, has_room
@@ -162,7 +162,7 @@ class ScenarioEnv(AbstractEnv):
         )
 
     def _ending(self) -> str:
-        """As `sumo_env.interface.ending`."""
+        """As `sumo_env.spaces.interface.ending`."""
         if self.vehicle.crashed or self._arrived():
             return "crash" if self.vehicle.crashed else "arrived"
         return "time" if self.steps and self._is_truncated() else ""
@@ -189,7 +189,7 @@ class ScenarioEnv(AbstractEnv):
         self._scenes = [self.scene]
 
     def export(self, folder: str | Path) -> list[Path]:
-        """Write the present episode for ``sumo`` and ``sumo-gui``; see `sumo_env.export`."""
+        """Write the present episode for ``sumo`` and ``sumo-gui``; see `sumo_env.sumo.export`."""
         return export.write(Path(folder), self.scenario, self._scenes)
 
     def _make_vehicles(self, *_: Any) -> None:

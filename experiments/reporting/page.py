@@ -30,7 +30,7 @@ from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import verdicts
 from experiments.study.results.store import Results, Store
 from experiments.support.files import opened
-from sumo_env.hints import DOCUMENTATION
+from sumo_env.not_here import DOCUMENTATION
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 

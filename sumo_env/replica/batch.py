@@ -13,13 +13,13 @@ import numpy as np
 
 from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.measures import DENSITY_RADIUS
-from sumo_env.observation import TableForm
 from sumo_env.replica import tables
 from sumo_env.replica.compiled import compiled, inlined, readable
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.sight import ego_place, observe
 from sumo_env.replica.step import Rules, hold, policy_step, staying
+from sumo_env.spaces.observation import TableForm
 from sumo_env.tasks import TASKS, base
 from sumo_env.tasks.base import Task, lmap
 from sumo_env.tasks.intersection import ARRIVAL
@@ -200,7 +200,7 @@ def remaining(batch: Batch, row: int, lanes: tables.Records) -> list[tuple[float
 
 @inlined
 def command(params: Any, ego: Any, episode: Any, action: int) -> None:
-    """``MDPVehicle.act``: what a meta-action changes, see `sumo_env.actions`."""
+    """``MDPVehicle.act``: what a meta-action changes, see `sumo_env.spaces.actions`."""
     if params.speed_changes[action] != 0:
         wanted = _nearest_index(ego.speed, params.speeds) + params.speed_changes[action]
         episode.speed_index = min(max(wanted, 0), len(params.speeds) - 1)

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.as_highway_env import class_or_instance
+from sumo_env.compat.as_highway_env import class_or_instance
 from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_arguments
-from sumo_env.driving import DrivingEnv, Observation
+from sumo_env.env.driving import DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.observation import OFFSETS, Kinematics
 from sumo_env.replica import draws
 from sumo_env.replica.batch import Start
 from sumo_env.replica.draws import INSTEAD
@@ -23,6 +22,7 @@ from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import form_of
 from sumo_env.replica.simulator import Replica
 from sumo_env.scene import Scene
+from sumo_env.spaces.observation import OFFSETS, Kinematics
 from sumo_env.tasks import get_task
 from sumo_env.tasks.asked import VARIED
 from sumo_env.tasks.base import Task

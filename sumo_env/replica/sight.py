@@ -1,7 +1,7 @@
 """What the ego sees, compiled: its place on the road, and highway-env's Kinematics table.
 
-`KinematicsObservation` in highway-env, `sumo_env.observation.Kinematics` here; features that depend on routes (cos_d,
-sin_d) are left to the latter.
+`KinematicsObservation` in highway-env, `sumo_env.spaces.observation.Kinematics` here; features that depend on routes
+(cos_d, sin_d) are left to the latter.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.observation import BEHIND, FEATURES, OFFSETS, POSE, Kinematics, TableForm
 from sumo_env.replica.compiled import compiled, inlined
 from sumo_env.replica.geometry import heading_at, is_on, local_coordinates, wrapped
 from sumo_env.scene import PERCEPTION_DISTANCE
+from sumo_env.spaces.observation import BEHIND, FEATURES, OFFSETS, POSE, Kinematics, TableForm
 
 HALF_WIDTH = 2.0  # [m] of a lane
 FIRST_OFFSET = FEATURES.index(OFFSETS[0])

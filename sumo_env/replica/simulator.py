@@ -16,7 +16,6 @@ from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex, Road, highway
-from sumo_env.observation import Kinematics, TableForm
 from sumo_env.replica import sight, tables
 from sumo_env.replica import step as kernels
 from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes, remaining
@@ -27,6 +26,7 @@ from sumo_env.replica.motion import MAX_SPEED
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
 from sumo_env.scene import NO_LIGHT, OBSTACLE_SIZE, Scene, is_obstacle
 from sumo_env.simulator import Command, Commands, EgoStep, SteeringCommand, Step
+from sumo_env.spaces.observation import Kinematics, TableForm
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
 
 VARIANTS = ("stock", "path", "connected", "v0")

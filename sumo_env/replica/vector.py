@@ -17,16 +17,16 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from sumo_env.actions import SIDES, ContinuousAction
 from sumo_env.config import ConfigError
 from sumo_env.contacts.measures import NEAR_MISS_TTC
-from sumo_env.interface import actions_of, seeds_of
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SPEEDS, EnvParams, Start
 from sumo_env.replica.compiled import compile_notice
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import steered
+from sumo_env.spaces.actions import SIDES, ContinuousAction
+from sumo_env.spaces.interface import actions_of, seeds_of
 from sumo_env.tasks import TASKS, VARIANTS
 from sumo_env.tasks.base import nearest_index
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from sumo_env.actions import ego_route, follow_road
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.simulator import EgoCommand
+from sumo_env.spaces.actions import ego_route, follow_road
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.risk import CUT_IN_GAP

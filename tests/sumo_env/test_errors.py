@@ -14,7 +14,7 @@ import pytest
 import sumo_env
 from experiments.backends import make_env
 from experiments.support.errors import UserError
-from sumo_env import hints
+from sumo_env import not_here
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv
@@ -258,8 +258,8 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: DrivingEnv("highway", acts({"type": "MultiAgentAction"})), ConfigError, "sumo_env.parallel_env"),
     (lambda: make_env("replica", "uturn", {}), UserError, "unknown task"),
     (lambda: sumo_env.HighwayEnv, AttributeError, "sumo_env.envs"),
-    *((partial(gym.make, id), gym.error.UnregisteredEnv, "docs/from-highway-env.md") for id in hints.NOT_HERE),
-    *((overriding(name), TypeError, "docs/from-highway-env.md#subclasses") for name in hints.NEVER_CALLED),
+    *((partial(gym.make, id), gym.error.UnregisteredEnv, "docs/from-highway-env.md") for id in not_here.NOT_HERE),
+    *((overriding(name), TypeError, "docs/from-highway-env.md#subclasses") for name in not_here.NEVER_CALLED),
     # tasks of a user's own
     (lambda: DrivingEnv(Twice("v0")).reset(seed=0), ConfigError, "are called 'v0'"),
     (nowhere, ConfigError, "no lane ('0', '1', 9)"),

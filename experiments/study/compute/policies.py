@@ -16,7 +16,7 @@ from experiments.study.compute.wrappers import believing, observed
 from experiments.study.design.grid import learner_of
 from experiments.study.design.rules import TrainingRules
 from experiments.support.errors import UserError, in_words
-from sumo_env.actions import DiscreteMetaAction
+from sumo_env.spaces.actions import DiscreteMetaAction
 
 
 def check(source: str, profile: Mapping[str, Any]) -> None:

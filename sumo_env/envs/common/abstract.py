@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sumo_env.driving import DrivingEnv
+from sumo_env.env import DrivingEnv
 
 
 class AbstractEnv(DrivingEnv):

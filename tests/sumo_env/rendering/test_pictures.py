@@ -17,7 +17,7 @@ from gymnasium.wrappers import RecordVideo
 import sumo_env
 from sumo_env import rendering
 from sumo_env.config import COMMON
-from sumo_env.driving import DrivingEnv
+from sumo_env.env import DrivingEnv
 from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
 from sumo_env.rendering import draw
 from sumo_env.rendering.notes import CRASH, EVENT, Mark, Notes

@@ -110,7 +110,7 @@ def has_same_rows(theirs: np.ndarray, ours: np.ndarray) -> bool:
     """Are two observations equal but for the order of their rows?
 
     Vehicles are sorted by their distance projected on the ego's lane. Those that stand one behind the other across that
-    lane are equally far, up to rounding, and `sumo_env.observation` rounds by its own geometry.
+    lane are equally far, up to rounding, and `sumo_env.spaces.observation` rounds by its own geometry.
     """
     left = list(ours)
     for row in theirs:

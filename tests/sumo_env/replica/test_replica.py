@@ -1,4 +1,4 @@
-"""The replica as a simulator; as an environment it is tested in tests/sumo_env/test_env.py."""
+"""The replica as a simulator; as an environment it is tested in tests/sumo_env/env/test_driving.py."""
 
 from __future__ import annotations
 

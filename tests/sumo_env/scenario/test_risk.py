@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from sumo_env.config import ConfigError, warn_once
-from sumo_env.driving import DrivingEnv
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.simulator import EgoCommand
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.network import NetworkTask

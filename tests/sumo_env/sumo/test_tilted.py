@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
-from sumo_env.several import make
+from sumo_env.env.cars import make
 from sumo_env.traffic.risk import RiskEvent, draw_events
 from tests.sumo_env.plans import build, needs_sumo, route_file
 from tests.sumo_env.rollout import assert_same_bits, drive

@@ -9,14 +9,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.as_highway_env import ReadAsHighwayEnv
+from sumo_env.compat.as_highway_env import ReadAsHighwayEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoStep
 
 if TYPE_CHECKING:
     from gymnasium.wrappers import RecordVideo
 
-    from sumo_env.window import Window
+    from sumo_env.env.window import Window
 
 
 class OnScreen(ReadAsHighwayEnv):
@@ -63,7 +63,7 @@ class OnScreen(ReadAsHighwayEnv):
             raise ValueError(f"render_mode must be None, 'rgb_array' or 'human', not {render_mode!r}")
         self.render_mode = render_mode
         if render_mode == "human":
-            from sumo_env.window import Window  # pygame is imported where there is a window
+            from sumo_env.env.window import Window  # pygame is imported where there is a window
 
             self._window = Window()
 

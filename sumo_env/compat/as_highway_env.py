@@ -11,15 +11,15 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ActionType as Kind
-from sumo_env.actions import Situation
+from sumo_env.compat.views import RoadView, Vehicle, View, only_read, road_view
 from sumo_env.config import STOCK_FREQUENCY, Config, resolve
-from sumo_env.hints import NEVER_CALLED, missing, page
 from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.not_here import NEVER_CALLED, missing, page
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
+from sumo_env.spaces.actions import ActionType as Kind
+from sumo_env.spaces.actions import Situation
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
-from sumo_env.views import RoadView, Vehicle, View, only_read, road_view
 
 
 class _ClassOrInstance:

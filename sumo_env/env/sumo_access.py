@@ -13,11 +13,11 @@ from typing import ClassVar, Self
 
 import gymnasium as gym
 
-from sumo_env import export
-from sumo_env.as_highway_env import ReadAsHighwayEnv
+from sumo_env.compat.as_highway_env import ReadAsHighwayEnv
 from sumo_env.config import ConfigError
 from sumo_env.networks import files
 from sumo_env.simulator import Commands, Simulator
+from sumo_env.sumo import export
 from sumo_env.sumo.options import OUTPUT_DIR, check_live, check_options
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo

@@ -17,10 +17,10 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from sumo_env.config import MOST_VEHICLES, Config, ConfigError, keys_of, whole_number
-from sumo_env.driving import DrivingEnv
-from sumo_env.interface import paid_late
+from sumo_env.env.driving import DrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import Commands
+from sumo_env.spaces.interface import paid_late
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
 
@@ -298,7 +298,7 @@ def make(
     *,
     cars: int = 1,
     per_car: bool = False,
-    on: str = "sumo_env.driving:DrivingEnv",
+    on: str = "sumo_env.env.driving:DrivingEnv",
     **keywords: Any,
 ) -> DrivingEnv | TupleEnv:
     """What ``gymnasium.make`` makes of an id: the environment of one car, or of several by the configuration.

@@ -1,4 +1,4 @@
-"""The gymnasium environments: `DrivingEnv`, and `SumoDrivingEnv` on a network of one's own."""
+"""`SumoDrivingEnv`: one learning car in any SUMO scenario."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from sumo_env.config import ConfigError
-from sumo_env.driving import DrivingEnv
+from sumo_env.env.driving import DrivingEnv
 from sumo_env.tasks.network import NetworkTask
-
-__all__ = ["DrivingEnv", "SumoDrivingEnv"]
 
 
 class SumoDrivingEnv(DrivingEnv):

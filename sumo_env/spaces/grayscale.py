@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sumo_env.actions import Situation
 from sumo_env.config import GRAYSCALE, ConfigError
+from sumo_env.spaces.actions import Situation
 
 LARGEST = 1000  # [px] of a picture, and pictures of a stack
 

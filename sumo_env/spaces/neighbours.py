@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from sumo_env.actions import Situation
 from sumo_env.config import ConfigError, one_of
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.observation import Array, on_its_way
 from sumo_env.scene import (
     CLOSING,
     MAX_SPEED,
@@ -24,6 +22,8 @@ from sumo_env.scene import (
     Neighbour,
     Scene,
 )
+from sumo_env.spaces.actions import Situation
+from sumo_env.spaces.observation import Array, on_its_way
 
 MARGIN = 1.0  # [m] beside a lane, where a vehicle still counts (``Road.neighbour_vehicles``)
 LONGEST = 60.0  # [s] that a traffic light is seen to last

@@ -13,7 +13,9 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.controller import MDPVehicle
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
-from sumo_env.actions import (
+from sumo_env.config import resolve
+from sumo_env.networks.roads import highway
+from sumo_env.spaces.actions import (
     NAMES,
     DiscreteMetaAction,
     Situation,
@@ -21,13 +23,11 @@ from sumo_env.actions import (
     target_lane,
     target_speed_index,
 )
-from sumo_env.config import resolve
-from sumo_env.interface import interface
-from sumo_env.networks.roads import highway
+from sumo_env.spaces.interface import interface
 from sumo_env.tasks import TASKS
 from tests.tasks import highway_env_task
 
-from .parity import ego_state, episodes, make, scatter, stock
+from ..parity import ego_state, episodes, make, scatter, stock
 
 ALL_FEATURES = [
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",

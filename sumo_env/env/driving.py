@@ -13,18 +13,18 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import PlainAction, ego_route
-from sumo_env.as_highway_env import class_or_instance
+from sumo_env.compat.as_highway_env import class_or_instance
 from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_arguments, tell_of_steps
 from sumo_env.contacts.rectangles import state_of
-from sumo_env.interface import ending, information, interface, on_its_way, paid_late
+from sumo_env.env.screen import OnScreen
+from sumo_env.env.sumo_access import OwnSumo
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import Scene
-from sumo_env.screen import OnScreen
 from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
+from sumo_env.spaces.actions import PlainAction, ego_route
+from sumo_env.spaces.interface import ending, information, interface, on_its_way, paid_late
 from sumo_env.streams import stream
 from sumo_env.sumo.process import SumoProcess
-from sumo_env.sumo_access import OwnSumo
 from sumo_env.tasks import asked, get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.traffic.scenario import Scenario

@@ -17,12 +17,12 @@ from typing import Any, ClassVar, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ActionType as Kind
-from sumo_env.hints import missing, page
 from sumo_env.networks.lanes import Lane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.observation import FEATURES, destination_direction
+from sumo_env.not_here import missing, page
 from sumo_env.scene import Floats, Scene, is_obstacle
+from sumo_env.spaces.actions import ActionType as Kind
+from sumo_env.spaces.observation import FEATURES, destination_direction
 from sumo_env.traffic.scenario import VehicleSpec
 
 # Modules of highway-env and, where it has another name there, the class that views stand for.

@@ -10,11 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sumo_env.actions import Situation
 from sumo_env.config import OCCUPANCY_GRID, ConfigError, one_of
 from sumo_env.networks.roads import Road
-from sumo_env.observation import FEATURES, RELATIVE, Kinematics, ranges_of
 from sumo_env.scene import MAX_SPEED, Scene, is_obstacle
+from sumo_env.spaces.actions import Situation
+from sumo_env.spaces.observation import FEATURES, RELATIVE, Kinematics, ranges_of
 
 ON_ROAD = "on_road"
 AROUND = 100.0  # [m] along each lane, either way, as far as the road is drawn

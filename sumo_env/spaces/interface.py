@@ -15,16 +15,16 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from sumo_env.actions import ActionType, ContinuousAction, action_type
 from sumo_env.config import MEASURED, Config, ConfigError, warn_once
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
-from sumo_env.grayscale import Grayscale
-from sumo_env.hints import page
-from sumo_env.neighbours import LeadersFollowers
-from sumo_env.observation import Kinematics, TimeToCollision
-from sumo_env.occupancy import OccupancyGrid
+from sumo_env.not_here import page
 from sumo_env.scene import Place, Scene
+from sumo_env.spaces.actions import ActionType, ContinuousAction, action_type
+from sumo_env.spaces.grayscale import Grayscale
+from sumo_env.spaces.neighbours import LeadersFollowers
+from sumo_env.spaces.observation import Kinematics, TimeToCollision
+from sumo_env.spaces.occupancy import OccupancyGrid
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.tasks.network import NetworkTask

@@ -11,7 +11,6 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sumo_env.actions import Situation
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of, whole_number
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
@@ -24,6 +23,7 @@ from sumo_env.scene import (
     Scene,
     is_obstacle,
 )
+from sumo_env.spaces.actions import Situation
 from sumo_env.traffic.scenario import VehicleSpec
 
 Array = NDArray[np.float32]

@@ -11,10 +11,10 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
-from sumo_env.neighbours import neighbours_on
 from sumo_env.networks.roads import highway
-from sumo_env.observation import on_its_way
 from sumo_env.scene import NOBODY, Neighbour, Scene
+from sumo_env.spaces.neighbours import neighbours_on
+from sumo_env.spaces.observation import on_its_way
 from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, route_file
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ActionType, ContinuousAction, DiscreteAction
 from sumo_env.config import ConfigError
+from sumo_env.spaces.actions import ActionType, ContinuousAction, DiscreteAction
 
 PRESSED = 0.7  # of a number from -1 to 1 (``EventHandler.handle_continuous_action_event``)
 

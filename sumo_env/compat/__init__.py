@@ -1,0 +1,1 @@
+"""What scripts that were written for highway-env read of an environment: its names, for what is here."""

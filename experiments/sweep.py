@@ -43,7 +43,6 @@ from experiments.study.design.experiment import shard
 from experiments.study.design.fingerprint import check_dynamics, check_learners, known_dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.options import Asked, argument
-from experiments.study.design.presets import cells_of, complete
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
 from experiments.support.arguments import command
@@ -70,7 +69,7 @@ class Options(Asked):
     @property
     def directory(self) -> Path:
         """Where the results go."""
-        return self.out or Path("results") / f"{complete(self).backend}-{self.preset}"
+        return self.out or Path("results") / f"{self.experiment.backend}-{self.preset}"
 
 
 def sweep(
@@ -89,10 +88,10 @@ def sweep(
     if options.executor not in EXECUTORS:
         raise unknown("executor", options.executor, EXECUTORS)
     if options.dry_run:
-        planned = shard(cells_of(options, known_dynamics, known_digest), options.shard)
+        planned = shard(options.cells(known_dynamics, known_digest), options.shard)
         describe(options, planned, options.workers or cores())
         return 0
-    cells = cells_of(options)
+    cells = options.cells()
     mine = shard(cells, options.shard)
     check(dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on)))
     there = set(Store(options.directory).finished())
@@ -170,7 +169,7 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     table["finished"] = [cell.name in there for cell in cells]
     table["core hours"] = [seconds(cell) / 3600 for cell in cells] * ~table["finished"]
     table = table.groupby(["task", "level"], sort=False, as_index=False).sum()
-    print(f"preset {options.preset}: {complete(options).about}\nresults go to {options.directory}")
+    print(f"preset {options.preset}: {options.experiment.about}\nresults go to {options.directory}")
     print(table.to_string(index=False, float_format="{:.2f}".format))
     if new := list(dict.fromkeys(cell.task for cell in cells if not cell.dynamics)):
         print(

@@ -19,7 +19,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import shlex
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
@@ -28,19 +28,13 @@ from agents.files import atomic
 from experiments.study.compute.cells import compute
 from experiments.study.design.fingerprint import check_dynamics, check_learners
 from experiments.study.design.grid import Cell
-from experiments.study.design.options import Asked
-from experiments.study.design.presets import cells_of
+from experiments.study.design.options import Asked, Names, argument
 from experiments.study.results.store import Store
 from experiments.study.results.working import LOG
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, writing
+from sumo_env.tasks import TASKS
 
-ONE = {
-    "tasks": ("u-turn",),
-    "levels": (1,),
-    "arms": ("treatment",),
-    "seeds": 1,
-}  # unless it is said otherwise
 SMOOTH = 50  # training episodes over which the picture averages
 
 
@@ -50,12 +44,10 @@ class Options(Asked):
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Directory for the agent; it may hold others already."""
-
-
-def cells(options: Options) -> list[Cell]:
-    """The agents' cells and those of the policies that they are compared with. Raises UserError as `cells_of` does."""
-    given = {name: value for name, value in asdict(options).items() if value is not None and name != "out"}
-    return cells_of(Asked(**{**ONE, **given}))
+    tasks: Annotated[Names, argument("TASK ...", "u-turn", f"Some of {', '.join(TASKS)}.")] = ("u-turn",)
+    levels: Annotated[tuple[int, ...] | None, argument("LEVEL ...", "1")] = (1,)
+    seeds: Annotated[int | None, argument("N", "1")] = 1
+    arms: Annotated[Names, argument("ARM ...", "treatment")] = ("treatment",)
 
 
 def draw(directory: Path, cell: Cell) -> Path:
@@ -75,7 +67,7 @@ def draw(directory: Path, cell: Cell) -> Path:
 
 def train(options: Options, arguments: list[str]) -> int:
     """Do what the options ask for; returns the exit status."""
-    asked = cells(options)
+    asked = options.cells()
     agents = [cell for cell in asked if cell.kind == "agent"]
     check_dynamics(
         dict.fromkeys((name, cell.task) for cell in asked for name in (cell.backend, cell.runs_on))

@@ -9,7 +9,7 @@ from typing import Any
 from experiments.study.compute.cell import CellTask
 from experiments.study.compute.run import Attempt, attempt
 from experiments.study.results.store import Store
-from experiments.sweep import Options, cells_of
+from experiments.sweep import Options
 from tests.experiments.fake_env import make_env
 
 TINY: dict[str, Any] = {
@@ -24,8 +24,7 @@ TINY: dict[str, Any] = {
 def tasks_of(directory: Path, **options: Any) -> list[CellTask]:
     """The cells of a sweep that is tiny but for these options."""
     return [
-        CellTask(cell, directory, make_env)
-        for cell in cells_of(Options(out=directory, **{**TINY, **options}))
+        CellTask(cell, directory, make_env) for cell in Options(out=directory, **{**TINY, **options}).cells()
     ]
 
 

@@ -16,11 +16,11 @@ from experiments.backends import BACKENDS
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import shard
-from experiments.study.design.presets import PRESETS, complete
+from experiments.study.design.presets import PRESETS
 from experiments.study.design.traffic import ALL
 from experiments.support.arguments import parsed, split_arguments
 from experiments.support.errors import UserError
-from experiments.sweep import Options, cells_of
+from experiments.sweep import Options
 from sumo_env.tasks import TASKS
 from tests.processes import ROOT, ended, python
 
@@ -68,7 +68,7 @@ ARGUMENTS = {
 def test_arguments_give_cells_or_one_clear_line(arguments):
     options = Options(**arguments)
     try:
-        cells = cells_of(options)
+        cells = options.cells()
         mine = shard(cells, options.shard)
     except UserError as error:
         assert str(error).strip()
@@ -108,10 +108,10 @@ def test_an_option_sets_a_preset_back(monkeypatch):
     """None is not given; an empty list, a flag's "no" and the default's value are."""
     monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], unseen=True, traffics=("measured",)))
     given = ["--no-unseen", "--traffics", "--levels", "--arms", "control", "treatment"]
-    found = complete(parsed(Options, given, ""))
+    found = parsed(Options, given, "").experiment
     assert (found.unseen, found.traffics, found.levels) == (False, (), ())
-    assert complete(Options()) == PRESETS["quick"]
-    assert complete(parsed(Options, ["--frontier"], "")).frontier
+    assert Options().experiment == PRESETS["quick"]
+    assert parsed(Options, ["--frontier"], "").experiment.frontier
 
 
 @pytest.mark.slow

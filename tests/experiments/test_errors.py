@@ -15,7 +15,7 @@ from experiments.study.design import experiment, grid
 from experiments.study.results.store import Store, load
 from experiments.support.errors import UserError
 from experiments.support.films import check_film
-from experiments.sweep import Options, cells_of, sweep
+from experiments.sweep import Options, sweep
 from tests.experiments.computed import TINY
 from tests.experiments.fake_env import make_env
 from tests.experiments.study.test_grid import cells
@@ -50,7 +50,7 @@ CELLS: list[tuple[dict[str, Any], str]] = [
 
 
 def smoke(**asked: Any) -> Callable[[], Any]:
-    return lambda: cells_of(Options(preset="smoke", **asked))
+    return lambda: Options(preset="smoke", **asked).cells()
 
 
 def swept(**asked: Any) -> Callable[[], Any]:

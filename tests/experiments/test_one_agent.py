@@ -87,7 +87,7 @@ def test_the_scenario_is_chosen_by_a_rule_that_is_said() -> None:
 
 def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="did you mean 'mixed'"):
-        train.cells(train.Options(out=tmp_path, arms=("mixd",)))
+        train.Options(out=tmp_path, arms=("mixd",)).cells()
     with pytest.raises(UserError, match="there are: sumo-u-turn-3-mixed-s0"):
         watch.watch(watch.Options(trained, agent="treatment"))
     with pytest.raises(UserError, match="no agent"):

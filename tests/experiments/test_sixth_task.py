@@ -9,7 +9,7 @@ import pytest
 from experiments import report
 from experiments.study.design.sheet import GRID, SHEETS
 from experiments.study.results.store import load
-from experiments.sweep import Options, UserError, cells_of, sweep
+from experiments.sweep import Options, UserError, sweep
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.u_turn import UTurn
 from tests.experiments.fake_env import make_env
@@ -23,17 +23,17 @@ class Own(UTurn):
 
 def test_it_is_in_no_preset() -> None:
     assert "merge" in SHEETS and "merge" not in GRID
-    assert {cell.task for cell in cells_of(Options(preset="smoke"))} == set(GRID)
+    assert {cell.task for cell in Options(preset="smoke").cells()} == set(GRID)
 
 
 def test_a_backend_that_lacks_a_task_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TASKS, "own", Own())
     with pytest.raises(UserError, match="add its sheet"):
-        cells_of(Options(tasks=("own",)))
+        Options(tasks=("own",)).cells()
     monkeypatch.setitem(SHEETS, "own", SHEETS["u-turn"])
     for name in ("replica", "highway-env"):
         with pytest.raises(UserError, match=f"the backend {name} has no task own"):
-            cells_of(Options(tasks=("own",), backend=name))
+            Options(tasks=("own",), backend=name).cells()
 
 
 def test_it_is_studied_and_decides_nothing(tmp_path: Path, here: None) -> None:

@@ -24,7 +24,7 @@ from experiments.study.design.arms import TEST
 from experiments.study.design.experiment import shard
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
-from experiments.sweep import Options, cells_of, sweep
+from experiments.sweep import Options, sweep
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
 from tests.experiments.fake_env import FakeEnv, make_env
 from tests.processes import ROOT, children, python, started
@@ -54,7 +54,7 @@ def reference(tmp_path_factory):
 
 def test_a_sweep_computes_every_cell_once(reference, capsys):
     results = load(reference)
-    wanted = cells_of(Options(out=reference, **TINY))
+    wanted = Options(out=reference, **TINY).cells()
     assert set(results.cells) == {cell.name for cell in wanted} == set(results.expected)
     assert not results.failed
     assert not list((reference / "work").iterdir())
@@ -87,10 +87,10 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
 
 
 def test_a_placebo_trains_control_agents_alone_and_compares_them():
-    cells = cells_of(Options(placebo=True, **TINY))
+    cells = Options(placebo=True, **TINY).cells()
     agents = [cell for cell in cells if cell.kind == "agent"]
     assert sorted((cell.arm, cell.seed) for cell in agents) == [("control", seed) for seed in range(4)]
-    usual = {cell.name for cell in cells_of(Options(**TINY)) if cell.arm == "control"}
+    usual = {cell.name for cell in Options(**TINY).cells() if cell.arm == "control"}
     assert usual <= {cell.name for cell in agents}
 
 
@@ -273,7 +273,7 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
     assert replayed(tmp_path / "results", "treatment") == 0
 
     def names(file: Path) -> set[str]:
-        return {cell.name for cell in cells_of(Options(**{**TINY, "network": f"{file}:Mine"})) if cell.arm}
+        return {cell.name for cell in Options(**{**TINY, "network": f"{file}:Mine"}).cells() if cell.arm}
 
     elsewhere = tmp_path / "other" / "mine.py"
     elsewhere.parent.mkdir()
@@ -340,7 +340,7 @@ def test_a_study_of_another_learner(name, tmp_path, here):
     agents = {name: cell for name, cell in results.cells.items() if cell["key"]["kind"] == "agent"}
     assert {cell["key"]["policy"] for cell in agents.values()} == {learner.rpartition("/")[2]}
     assert all("-guess.py.own-" in name or "-sb3-ppo-" in name for name in agents)
-    assert not set(agents) & {cell.name for cell in cells_of(Options(**{**TINY, "seeds": 2}))}
+    assert not set(agents) & {cell.name for cell in Options(**{**TINY, "seeds": 2}).cells()}
     assert {cell["learner"].get("q_bound") for cell in agents.values()} == {None}
     analysis = analyse(results)
     assert len(analysis.gates) == 4

@@ -1,13 +1,21 @@
-"""What a user asks for: the options that choose the cells of a sweep, each None where it is left to the preset."""
+"""From what a user asks for to cells: options (None where one is left to the preset) -> an experiment -> its cells."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any
 
 import tyro
 
+from experiments.study.design.estimators import digest
+from experiments.study.design.experiment import Digest, Dynamics, Experiment
+from experiments.study.design.fingerprint import dynamics
+from experiments.study.design.grid import Cell
+from experiments.study.design.presets import PRESETS
 from experiments.study.design.sheet import GRID
+from experiments.study.design.traffic import UNSEEN
+from experiments.support.errors import UserError, unknown
 from sumo_env.tasks import TASKS
 
 
@@ -24,7 +32,7 @@ Flag = Annotated[bool | None, tyro.conf.arg(metavar="", help_behavior_hint="")] 
 
 @dataclass(frozen=True)
 class Asked:
-    """The options of a sweep as they are given; the text below one is its help. `presets.complete` adds the rest."""
+    """The options of a sweep as they are given; the text below one is its help."""
 
     backend: Annotated[str | None, argument("NAME", "sumo")] = None
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
@@ -68,3 +76,40 @@ class Asked:
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[Names, argument("FILE:MAKE ...", "none")] = None
     """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
+
+    @property
+    def experiment(self) -> Experiment:
+        """All of it: for what is not asked what the preset says; arms that are asked for are all.
+
+        Raises:
+            UserError: there is no such preset, or two options contradict each other.
+        """
+        if self.preset not in PRESETS:
+            raise unknown("preset", self.preset, PRESETS)
+        if self.placebo and self.arms:
+            raise UserError("--placebo trains control agents alone: leave out --arms")
+        given = {field.name: getattr(self, field.name) for field in fields(Asked)}
+        found = replace(PRESETS[self.preset], **{name: v for name, v in given.items() if v is not None})
+        return replace(found, at_ends={}) if self.arms or self.placebo else found
+
+    def cells(self, dynamics: Dynamics = dynamics, digest: Digest = digest) -> list[Cell]:
+        """All cells of the experiment. Raises UserError where something does not exist, or asks for nothing."""
+        cells = self.experiment.cells(dynamics, digest)
+        for option, is_answered in self._answers(cells):
+            if not is_answered:
+                raise UserError(f"{option} asks for nothing here: leave it out")
+        return cells
+
+    def _answers(self, cells: Sequence[Cell]) -> Iterator[tuple[str, bool]]:
+        """What is asked for by name, and not by the preset alone, and whether there is a cell of it."""
+        tests = [cell for cell in cells if cell.kind == "test"]
+        for task in self.tasks or ():
+            yield f"--tasks {task}", any(cell.task == task for cell in cells)
+        for name in self.test_on or ():
+            yield f"--test-on {name}", any(cell.runs_on == name != cell.backend for cell in tests)
+        for name in self.drivers or ():
+            yield f"--drivers {name}", any(cell.policy == name for cell in cells)
+        if self.unseen:
+            yield "--unseen", any(set(cell.tested["traffics"]) <= set(UNSEEN) for cell in tests)
+        if self.pairs:
+            yield "--pairs", any(cell.pair for cell in tests)

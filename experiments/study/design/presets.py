@@ -1,19 +1,12 @@
-"""Named sizes of the experiment. Arguments override what a preset sets; the cells say what was used."""
+"""Named sizes of the experiment. Options override what a preset sets (`options`); the cells say what was used."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Mapping
 from typing import Any
 
-from experiments.study.design.estimators import digest
-from experiments.study.design.experiment import Digest, Dynamics, Experiment
-from experiments.study.design.fingerprint import dynamics
-from experiments.study.design.grid import Cell
-from experiments.study.design.options import Asked
+from experiments.study.design.experiment import Experiment
 from experiments.study.design.sheet import SHEETS
-from experiments.study.design.traffic import UNSEEN
-from experiments.support.errors import UserError, unknown
 from sumo_env.config import MEASURED
 
 # Training episodes of an agent in the paper. Budgets are counted in updates, equal for both arms: the number of
@@ -102,43 +95,3 @@ PRESETS = {
         ),
     )
 }
-
-
-def complete(asked: Asked) -> Experiment:
-    """What is asked for, and for the rest what its preset says; arms that are asked for are all.
-
-    Raises:
-        UserError: there is no such preset, or two options contradict each other.
-    """
-    if asked.preset not in PRESETS:
-        raise unknown("preset", asked.preset, PRESETS)
-    if asked.placebo and asked.arms:
-        raise UserError("--placebo trains control agents alone: leave out --arms")
-    given = {field.name: getattr(asked, field.name) for field in fields(Asked)}
-    found = replace(PRESETS[asked.preset], **{name: v for name, v in given.items() if v is not None})
-    return replace(found, at_ends={}) if asked.arms or asked.placebo else found
-
-
-def cells_of(asked: Asked, dynamics: Dynamics = dynamics, digest: Digest = digest) -> list[Cell]:
-    """All cells of what is asked for. Raises UserError where something does not exist or makes no sense."""
-    experiment = complete(asked)
-    cells = experiment.cells(dynamics, digest)
-    for option, is_answered in _answers(asked, experiment.backend, cells):
-        if not is_answered:
-            raise UserError(f"{option} asks for nothing here: leave it out")
-    return cells
-
-
-def _answers(asked: Asked, backend: str, cells: Sequence[Cell]) -> Iterator[tuple[str, bool]]:
-    """What is asked for by name, and not by the preset alone, and whether there is a cell of it."""
-    tests = [cell for cell in cells if cell.kind == "test"]
-    for task in asked.tasks or ():
-        yield f"--tasks {task}", any(cell.task == task for cell in cells)
-    for name in asked.test_on or ():
-        yield f"--test-on {name}", any(cell.runs_on == name != backend for cell in tests)
-    for name in asked.drivers or ():
-        yield f"--drivers {name}", any(cell.policy == name for cell in cells)
-    if asked.unseen:
-        yield "--unseen", any(set(cell.tested["traffics"]) <= set(UNSEEN) for cell in tests)
-    if asked.pairs:
-        yield "--pairs", any(cell.pair for cell in tests)

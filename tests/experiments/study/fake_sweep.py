@@ -8,14 +8,14 @@ from pathlib import Path
 
 from experiments.study.results.store import Store
 from experiments.support.errors import run_command
-from experiments.sweep import Options, cells_of, compute
+from experiments.sweep import Options, compute
 from tests.experiments.fake_env import make_env
 
 
 def main() -> int:
     """As of experiments/sweep.py."""
     directory = Path(sys.argv[1])
-    cells = cells_of(Options(**json.loads(sys.argv[2])))
+    cells = Options(**json.loads(sys.argv[2])).cells()
     Store(directory).write_sweep("sweep", cells)
     return bool(compute(cells, directory, make_env, workers=2))
 

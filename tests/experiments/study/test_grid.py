@@ -20,7 +20,6 @@ from experiments.study.design.arms import (
 )
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.options import Asked
-from experiments.study.design.presets import cells_of
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import WITHOUT, unseen_traffics
 from sumo_env.tasks import TASKS
@@ -100,7 +99,7 @@ def test_seeds_of_tests_and_of_trainings_are_apart_from_each_other():
 @pytest.mark.parametrize("learner", ["dqn", "sb3-dqn", "sb3-ppo"])
 def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
     def steps(**asked) -> dict[str, int]:
-        found = cells_of(Asked(backend="replica", levels=(1,), arms=("control",), **asked))
+        found = Asked(backend="replica", levels=(1,), arms=("control",), **asked).cells()
         return {cell.task: cell.budget[0] for cell in found if cell.kind == "agent"}
 
     ours = steps(preset="study")
@@ -110,7 +109,7 @@ def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
 @pytest.fixture
 def study() -> list[grid.Cell]:
     """The cells of plan 5, whatever estimators are there."""
-    return cells_of(Asked(preset="study"), digest=lambda cell: "0" * 64)
+    return Asked(preset="study").cells(digest=lambda cell: "0" * 64)
 
 
 def test_the_study_has_seeds_and_scenarios_that_no_other_preset_has(study) -> None:

@@ -15,7 +15,6 @@ from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.grid import Cell, cell_name
 from experiments.study.design.options import Asked
-from experiments.study.design.presets import cells_of
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
@@ -39,7 +38,7 @@ def own_estimators(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def pairs(**asked: Any) -> dict[str, Cell]:
     """The tests of pairs by slug."""
-    cells = cells_of(Asked(preset="smoke", tasks=("u-turn",), **{**ASKED, **asked}), known)
+    cells = Asked(preset="smoke", tasks=("u-turn",), **{**ASKED, **asked}).cells(known)
     return {cell.slug: cell for cell in cells if cell.pair}
 
 

@@ -11,7 +11,6 @@ from experiments.backends import make_env
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design.grid import env_config
 from experiments.study.design.options import Asked
-from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
 from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import Scenario
@@ -74,7 +73,7 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
 def test_a_sweep_tests_in_further_traffic_by_name() -> None:
     options: dict[str, Any] = {"preset": "smoke", "tasks": ("highway",), "arms": ("control",)}
     before, cells = (
-        {cell.name: cell for cell in cells_of(Asked(**options, traffics=names))}
+        {cell.name: cell for cell in Asked(**options, traffics=names).cells()}
         for names in ((), ("measured",))
     )
     (added,) = cells.keys() - before.keys()

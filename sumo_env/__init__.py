@@ -88,8 +88,13 @@ def parallel_env(env: Any, config: Any = None, **keywords: Any) -> Any:
 
 
 # What is imported when it is asked for, so that ``import sumo_env`` takes no time.
-_LATER = {"DrivingEnv": "sumo_env.env", "SumoDrivingEnv": "sumo_env.env", "Task": "sumo_env.tasks.base",
-          "check_task": "sumo_env.check", "benchmark_scenarios": "sumo_env.benchmark"}  # fmt: skip
+_LATER = {
+    "DrivingEnv": "sumo_env.env",
+    "SumoDrivingEnv": "sumo_env.env",
+    "Task": "sumo_env.tasks.base",
+    "check_task": "sumo_env.check",
+    "benchmark_scenarios": "sumo_env.benchmark",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -16,7 +16,7 @@ from sumo_env.env import SumoDrivingEnv
 from tests.sumo_env.rollout import drive
 
 SUMO = Path(sys.executable).with_name("sumo")  # of the eclipse-sumo wheel
-needs_sumo = pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[networks]'")
+needs_sumo = pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[gui]'")
 QUIET: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
 # Nodes, edges and connections, each as XML or as the values of KINDS with commas between.
 Plan = tuple[str, ...]

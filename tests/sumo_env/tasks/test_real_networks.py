@@ -16,7 +16,7 @@ from sumo_env.networks import files
 from sumo_env.networks.mapping import Network
 from tests.sumo_env.plans import QUIET, build, endings, grid, route_file
 
-sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
+sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[gui]'")
 SHIPPED = Path(sumo.SUMO_HOME) / "tools"
 
 # A road that gets from two lanes to one by edges of a metre; the right lane goes on.

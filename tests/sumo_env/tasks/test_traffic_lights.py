@@ -15,7 +15,7 @@ from sumo_env.scene import GREEN, NO_LIGHT, RED, UNLIT, YELLOW, Light
 from sumo_env.sumo.route_ego import speed_before
 from tests.sumo_env.rollout import drive
 
-sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
+sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[gui]'")
 SCENARIOS = Path(sumo.SUMO_HOME) / "tools/sumolib/scenario/scenarios/RealWorld"
 CROSSING = SCENARIOS / "RiLSA_example1/rilsa1.net.xml"
 QUIET = {"vehicles_count": 0, "spawn_probability": 0.0, "duration": 90, "policy_frequency": 10}

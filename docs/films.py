@@ -4,14 +4,17 @@ docs/img/environments/*.png   one moment of each task, as its page shows it
 docs/img/films/*.gif          up to 12 s of each task at risk 1, in the first scenario with early danger
 docs/img/risk.gif             one scenario at risk 0 and at risk 1
 
-``python docs/films.py films`` draws the second line alone, ``python docs/films.py town`` docs/img/films/town.gif by the
-script of docs/scenarios.md.
+docs/img/scenarios.png        one moment of each environment in examples/scenarios, with SUMO as the driver
+
+``python docs/films.py films`` draws the second line alone, ``python docs/films.py scenarios`` the last one, and
+``python docs/films.py town`` docs/img/films/town.gif by the script of docs/scenarios.md.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -20,7 +23,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[0] = str(ROOT)
@@ -50,6 +55,7 @@ FILMS: dict[str, dict[str, Any]] = {
     "u-turn": {"scaling": 2.2, "centering_position": [0.4, 0.75]},
     "merge": {"scaling": 3.2, "centering_position": [0.35, 0.45]},
 }
+SCENARIO, SECONDS, TILE = 10_000, 12, 300  # of the small scenarios: seed, steps, size [px]
 DRIVER = "careful"
 NEAR = 30.0  # [m] to a car that is in the picture
 EARLY, LEAST = 3, 8  # [s] until the first near miss, and that the ego drives at least
@@ -123,6 +129,36 @@ def risk() -> None:
     save_gif(side_by_side(both), IMAGES / "risk.gif")
 
 
+def scenarios() -> None:
+    """One frame of each of the small scenarios, in rows of three."""
+    frames = []
+    for script in sorted((ROOT / "examples" / "scenarios").glob("*.py")):
+        if script.stem in ("build", "train"):
+            continue
+        env = runpy.run_path(str(script))["make"](render_mode="rgb_array")
+        env.reset(seed=SCENARIO)
+        alone = isinstance(env, gym.Env)
+        cars = {"ego": env.unwrapped} if alone else env.cars
+        for _ in range(SECONDS):
+            for car in cars.values():
+                car.hand_over()
+            spaces = {name: car.action_space for name, car in cars.items()}
+            ignored = {name: 1 if hasattr(space, "n") else space.sample() for name, space in spaces.items()}
+            if alone:
+                cars["ego"].step(ignored["ego"])
+            else:
+                env.step(ignored)
+        frames.append(Image.fromarray(env.render()).resize((TILE, TILE)))
+        env.close()
+    columns, gap = 3, 10
+    rows = -(-len(frames) // columns)
+    whole = Image.new("RGB", (columns * (TILE + gap) - gap, rows * (TILE + gap) - gap), "white")
+    for number, frame in enumerate(frames):
+        row, column = divmod(number, columns)
+        whole.paste(frame, (column * (TILE + gap), row * (TILE + gap)))
+    whole.save(IMAGES / "scenarios.png", optimize=True)
+
+
 def town() -> None:
     """The film that the script of docs/scenarios.md makes; needs eclipse-sumo and Stable-Baselines3."""
     page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
@@ -142,6 +178,10 @@ if __name__ == "__main__":
     if "films" in sys.argv:
         films()
         sys.exit()
+    if "scenarios" in sys.argv:
+        scenarios()
+        sys.exit()
     environments()
     films()
     risk()
+    scenarios()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from types import UnionType
 from typing import Any, NoReturn
 
@@ -12,12 +13,18 @@ class Wrong(ValueError):
 
 
 def parsed(text: str | bytes) -> Any:
-    """A value of strict JSON. Raises ValueError, also for NaN and infinity."""
+    """A value of strict JSON. Raises ValueError, also for NaN, infinity, and what is nested too deeply."""
 
     def refuse(word: str) -> NoReturn:
         raise Wrong(f"it has the number {word}")
 
-    return json.loads(text, parse_constant=refuse)
+    def number(word: str) -> float:
+        return value if math.isfinite(value := float(word)) else refuse(word)
+
+    try:
+        return json.loads(text, parse_constant=refuse, parse_float=number)
+    except RecursionError:
+        raise Wrong("it is nested too deeply") from None
 
 
 def check(value: Any, expected: Any, where: str = "") -> None:

@@ -32,6 +32,7 @@ from experiments.study.results.store import Results, Store
 from experiments.support.files import opened
 from sumo_env.not_here import DOCUMENTATION
 
+LARGEST = 10_000_000  # bytes of a film
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
 
@@ -72,7 +73,9 @@ def films(directory: Path) -> dict[str, str]:
     found = {}
     for path in sorted(directory.glob("*.gif")):
         with suppress(OSError), opened(path) as file:  # it may be a link or a folder
-            found[path.name] = b64encode(file.read()).decode()
+            content = file.read(LARGEST + 1)
+            if len(content) <= LARGEST and content.startswith((b"GIF87a", b"GIF89a")):
+                found[path.name] = b64encode(content).decode()
     return found
 
 

@@ -13,24 +13,29 @@ from typing import Any
 
 import pandas as pd
 
+from agents.schema import Wrong
 from experiments.study.results.schema import PURPOSES
+from experiments.study.results.tables import frame
+from experiments.support.files import is_name
 
 CELLS = "cells.parquet"
 
 
 @lru_cache(16)
 def records(path: Path) -> dict[str, dict[str, Any]]:
-    """The record of each cell by name, from the CELLS of a folder. Raises as pandas does."""
-    index = pd.read_parquet(path)
+    """The record of each cell by name, from the CELLS of a folder. Raises Wrong, or as pandas does."""
+    index = frame(path)
+    if not all(map(is_name, index["cell"])):
+        raise Wrong("the name of a cell leads elsewhere")
     return {name: json.loads(text) for name, text in zip(index["cell"], index["record"], strict=True)}
 
 
 @lru_cache(4)
 def frames(path: Path) -> dict[str, dict[str, pd.DataFrame]]:
-    """The tables of each cell by name, from the folder of these CELLS. Raises as pandas does."""
+    """The tables of each cell by name, from the folder of these CELLS. Raises Wrong, or as pandas does."""
     found: dict[str, dict[str, pd.DataFrame]] = {}
     for file in PURPOSES:
         if path.with_name(file).exists():
-            for name, rows in pd.read_parquet(path.with_name(file)).groupby("cell", sort=False):
+            for name, rows in frame(path.with_name(file)).groupby("cell", sort=False):
                 found.setdefault(str(name), {})[file] = rows.drop(columns="cell").reset_index(drop=True)
     return found

@@ -42,6 +42,7 @@ from experiments.support.errors import UserError
 from experiments.support.files import (
     alone,
     made,
+    opened,
     read_json,
     sha256_bytes,
     sha256_file,
@@ -123,7 +124,7 @@ class Store:
         """An agent's training episodes. Raises DamagedCell; KeyError where they are not kept."""
         if (path := self._beside(name, TRAINING)) is None:
             raise KeyError(name)
-        return asked_of(path, pd.read_parquet, DamagedCell)
+        return asked_of(path, tables.frame, DamagedCell)
 
     def weights(self, name: str) -> Path | None:
         """The file of an agent's weights; None if it is not here. Raises DamagedCell where they are others'."""
@@ -134,6 +135,7 @@ class Store:
         path = self.directory / folder / f"{name}{ending}"
         if not path.exists():
             return None
+        asked_of(path, opened, DamagedCell).close()  # a link or a pipe
         digest = self.record(name)["files"].get(file)
         # published weights of packed cells may be in half precision
         if self._own(name).exists() and asked_of(path, sha256_file, DamagedCell) != digest:

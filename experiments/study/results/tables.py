@@ -143,13 +143,25 @@ def read(path: Path) -> pa.Table:
         if columns != SCHEMA:
             odd = [str(field) for field in SCHEMA if field not in columns] or columns.names
             raise Wrong(f"its columns are not those of `results.schema.SCHEMA`: {', '.join(odd[:3])}")
-        unpacked = sum(parquet.metadata.row_group(k).total_byte_size for k in range(parquet.num_row_groups))
-        if parquet.metadata.num_rows > ROWS or unpacked > BYTES:
-            raise Wrong(f"it has {parquet.metadata.num_rows} rows and {unpacked} bytes: too many")
+        _check_size(parquet)
         table = parquet.read()
     if digest(table, text) != expected:
         raise Wrong("its checksum does not match")
     return table
+
+
+def frame(path: Path) -> pd.DataFrame:
+    """The rows of another parquet file of a folder of results. Raises Wrong, or as pandas does."""
+    with opened(path) as file:
+        _check_size(pq.ParquetFile(file))
+        return pd.read_parquet(file)
+
+
+def _check_size(parquet: pq.ParquetFile) -> None:
+    about = parquet.metadata
+    unpacked = sum(about.row_group(k).total_byte_size for k in range(parquet.num_row_groups))
+    if about.num_rows > ROWS or unpacked > BYTES:
+        raise Wrong(f"it has {about.num_rows} rows and {unpacked} bytes: too many")
 
 
 def _metadata(parquet: pq.ParquetFile) -> tuple[str, str]:

@@ -8,11 +8,13 @@ import shutil
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
@@ -23,10 +25,12 @@ from agents.files import DamagedFile, atomic
 from agents.greedy import Greedy
 from agents.models import DuelingMLP, EgoAttention
 from agents.plugins import sha256
+from experiments.reporting.page import LARGEST, films
 from experiments.study.compute.policies import driver
 from experiments.study.compute.run import locked, log, watched
 from experiments.study.design.grid import learner_of
 from experiments.study.replaying.rerun import Case, play_again
+from experiments.study.results import frozen
 from experiments.study.results.store import DamagedCell, Store, load
 from experiments.study.results.working import LOCK, LOG, PROGRESS, fraction_done
 from experiments.support.errors import UserError, run_command
@@ -106,10 +110,18 @@ def test_what_is_no_file_is_not_read(results: Path, place: str, kind: str) -> No
             load(results)
 
 
-@pytest.mark.parametrize("place", ["cells/{}.parquet", "weights/{}.npz", "work/{}/log.txt"])
-def test_no_link_is_followed(results: Path, tmp_path: Path, place: str) -> None:
+BESIDE = ["weights/{}.npz", "training/{}.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("place", "is_packed"),
+    [*((place, False) for place in ("cells/{}.parquet", "work/{}/log.txt")), *product(BESIDE, (False, True))],
+)
+def test_no_link_is_followed(results: Path, tmp_path: Path, place: str, is_packed: bool) -> None:
     """A private file would come into the report, or go to whoever gets the folder."""
     name = min(Store(results).agents())
+    if is_packed:
+        Store(results).pack()
     file = results / place.format(name)
     made(file.parent)
     if file.exists():
@@ -123,6 +135,26 @@ def test_no_link_is_followed(results: Path, tmp_path: Path, place: str) -> None:
     else:
         with pytest.raises(DamagedCell, match="a link lies in its place"):
             Store(results).is_whole(name)
+
+
+def test_a_film_is_a_picture_and_no_link(tmp_path: Path) -> None:
+    """What lies there comes into a report, which people send to each other."""
+    film, long, private = (tmp_path / name for name in ("film.gif", "long.gif", "private.gif"))
+    film.write_bytes(b"GIF89a...")
+    long.write_bytes(b"GIF89a...")
+    os.truncate(long, LARGEST + 1)
+    private.write_text("secret")
+    (tmp_path / "link.gif").symlink_to(film)
+    (tmp_path / "folder.gif").mkdir()
+    assert list(films(tmp_path)) == ["film.gif"]
+
+
+@pytest.mark.parametrize("name", ["../evil", "/evil"])
+def test_a_cell_of_an_earlier_version_has_a_name_that_leads_nowhere(name: str, tmp_path: Path) -> None:
+    """Films are called as their cells."""
+    pd.DataFrame({"cell": [name], "record": ["{}"]}).to_parquet(tmp_path / frozen.CELLS)
+    with pytest.raises(UserError, match="leads elsewhere"):
+        Store(tmp_path).finished()
 
 
 # The name of a link in a folder, and what writes there in its place.

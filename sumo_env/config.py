@@ -148,6 +148,11 @@ IGNORED = {
     "spawn_probability", "speed_limit", "state_noise", "steering_range", "success_goal_reward",
     "terminate_off_road", "vehicles_count", "vehicles_density",
 }  # fmt: skip
+# Arguments of some environments, and of which.
+ARGUMENTS = {
+    **dict.fromkeys(("sumo_options", "live", "output_dir"), "single environments on SUMO"),
+    **dict.fromkeys(("scenarios", "variant", "risk_law"), "replica/*"),
+}
 # Keys by what other tasks or earlier versions of highway-env call them.
 RENAMED = {
     "initial_spacing": "ego_spacing",
@@ -248,7 +253,9 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
 def refuse_arguments(unknown: Mapping[str, Any], known: Mapping[str, Any]) -> None:
     """Python's own TypeError about unknown arguments, which says how a key of a configuration (`known`) is set."""
     for key, value in unknown.items():
-        hint = f"; a key of the configuration is set by config={{{key!r}: {value!r}}}" if key in known else ""
+        hint = f"; it is for {ARGUMENTS[key]}" if key in ARGUMENTS else ""
+        if key in known:
+            hint = f"; a key of the configuration is set by config={{{key!r}: {value!r}}}"
         raise TypeError(f"__init__() got an unexpected keyword argument {key!r}{hint}")
 
 

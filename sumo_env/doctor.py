@@ -21,11 +21,20 @@ import numpy as np
 
 import sumo_env
 
+GYMNASIUM = (1, 1)  # the oldest version
 SUMO_VERSION = "1.28.0"  # that the drivers were calibrated on
 STEPS = 100  # of the speed measurement
 
 # name, and a function that returns details or raises an exception
 Check = tuple[str, Callable[[], str]]
+
+
+def gymnasium() -> str:
+    """gymnasium is new enough; with an older one, later checks would fail for reasons that mislead."""
+    if tuple(int(part) for part in gym.__version__.split(".")[:2]) < GYMNASIUM:
+        least = ".".join(map(str, GYMNASIUM))
+        raise RuntimeError(f"version {gym.__version__} is too old: pip install 'gymnasium>={least}'")
+    return gym.__version__
 
 
 def sumo() -> str:
@@ -80,6 +89,7 @@ def workers() -> str:
 
 
 CHECKS: tuple[Check, ...] = (
+    ("gymnasium", gymnasium),
     ("SUMO", sumo),
     *((sumo_env.task_of(id), partial(task, id)) for id in sumo_env.IDS),
     ("pictures", pictures),

@@ -54,6 +54,8 @@ class SumoVectorEnv(SyncVectorEnv):
         **unknown: Any,
     ) -> None:
         refuse_arguments(unknown, {**COMMON, **get_task(task).defaults})
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, not {num_envs}")
         self._pool = ThreadPoolExecutor(num_envs, thread_name_prefix="sumo_env")
         self._ahead = [
             _Ahead(DrivingEnv(task, config, render_mode, SumoProcess()), self._pool) for _ in range(num_envs)

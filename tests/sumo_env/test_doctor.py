@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,10 +16,18 @@ from sumo_env import doctor
 from tests.processes import ROOT, python
 
 
-def test_the_folder_is_named() -> None:
+def test_the_version_of_gymnasium_comes_first_and_the_folder_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An old one makes later checks fail for reasons that mislead."""
+    monkeypatch.setattr(doctor.gym, "__version__", "0.29.1")
     out = io.StringIO()
-    assert doctor.examine((), out) == 0
-    assert str(Path(sumo_env.__file__).parent) in out.getvalue()
+    assert doctor.examine(doctor.CHECKS, out) == 1
+    folder, first = out.getvalue().splitlines()[:2]
+    assert str(Path(sumo_env.__file__).parent) in folder
+    assert "FAIL  gymnasium" in first
+    declared = re.search(r"gymnasium>=[\d.]+", (ROOT / "pyproject.toml").read_text())
+    assert declared is not None and f"pip install '{declared[0]}'" in first
 
 
 @pytest.mark.slow

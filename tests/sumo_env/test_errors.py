@@ -247,8 +247,9 @@ replica, batch = partial(gym.make, "replica/roundabout-v0"), partial(gym.make_ve
 CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     *((partial(make, f"{room}/highway-v0", risk=1.0), TypeError, "set by config")
       for make in (gym.make, gym.make_vec) for room in ("sumo", "replica")),
-    (partial(gym.make_vec, "sumo/highway-v0", sumo_options=["-v"]), TypeError, "'sumo_options'"),
-    (partial(gym.make, "sumo/highway-v0", variant="v0"), TypeError, "'variant'"),
+    (partial(gym.make_vec, "sumo/highway-v0", sumo_options=["-v"]), TypeError, "single environments on SUMO"),
+    (partial(gym.make_vec, "sumo/highway-v0", 0), ValueError, "num_envs"),
+    (partial(gym.make, "sumo/highway-v0", variant="v0"), TypeError, "replica/*"),
     (lambda: DrivingEnv("highway", render_mode="ansi"), ValueError, "rgb_array"),
     (lambda: DrivingEnv("highway").step(1), gym.error.ResetNeeded, "reset"),
     (lambda: DrivingEnv("highway").imagine(0), gym.error.ResetNeeded, "reset"),
@@ -281,7 +282,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     # the replica
     (partial(replica, scenarios="stock"), ConfigError, "'stock'"),
     (partial(replica, variant="paths"), ConfigError, "did you mean 'path'"),
-    (partial(replica, live="sumo-gui"), TypeError, "'live'"),
+    (partial(replica, live="sumo-gui"), TypeError, "on SUMO"),
     (lambda: replica().unwrapped.hand_over(), ConfigError, "SUMO drives nothing"),  # type: ignore[attr-defined]
     (lambda: ReplicaEnv("u-turn", version=3), ConfigError, "no version 3"),
     (lambda: Replica().step({"ego": EgoCommand(20.0, None)}), RuntimeError, "reset"),
@@ -291,7 +292,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     # several learning cars
     (fleet("CartPole-v1"), ConfigError, "not an environment of sumo_env"),
     (fleet("replica/highway-v0", remove_crashed=True), ConfigError, "crashed cars stay"),
-    (fleet("replica/highway-v0", live="sumo-gui"), TypeError, "'live'"),
+    (fleet("replica/highway-v0", live="sumo-gui"), TypeError, "on SUMO"),
     (fleet("sumo/highway-v0", live="gui"), ConfigError, "'sumo-gui'"),
     (fleet("sumo/highway-v0", output_dir="out"), ConfigError, "output_dir"),
     (fleet("sumo/highway-v0", {"manual_control": True}), ConfigError, "'manual_control'"),

@@ -4,7 +4,6 @@
     python experiments/sweep.py --preset smoke --out results/smoke
     python experiments/sweep.py --preset paper --dry-run
     python experiments/sweep.py --placebo                                  # control against control
-    python experiments/sweep.py --tasks highway --arms control penalty     # a positive control
 
 The same command run again continues where it was stopped. Finished cells are never
 computed twice. Several sweeps on one directory, also from several machines, share the work.
@@ -23,6 +22,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import shlex
+import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -126,7 +126,9 @@ def report(directory: Path, strict: bool) -> None:
 
 
 def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> None:
-    """Raise UserError for what would fail only after trainings: a policy's file that does not fit, a missing device."""
+    """Raise UserError for what would fail later: a policy's file that does not fit, a missing device, no Slurm."""
+    if executor == "slurm" and shutil.which("srun") is None:
+        raise UserError("--executor slurm is for machines that submit jobs to Slurm: there is no srun")
     for cell in cells:
         if cell.kind == "baseline" and cell.source:
             with closing(make_env(cell.backend, cell.task, dict(cell.env_config))) as env:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import pytest
 import tyro
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.rules import DRIVERS
+from experiments import sweep, train
 from experiments.backends import BACKENDS
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.design.arms import EVERY_ARM
@@ -95,6 +97,14 @@ def test_the_help_names_all_that_can_be_asked_for(capsys):
     said = set(re.findall(r"[\w-]+", capsys.readouterr().out))
     assert {*PRESETS, *EVERY_ARM, *BACKENDS, *TASKS, *EXECUTORS} <= said
     assert "--learners" not in said  # presets alone
+
+
+@pytest.mark.parametrize("command", [sweep, train])
+def test_the_examples_of_the_help_ask_for_what_there_is(command):
+    lines = re.findall(rf"experiments/{Path(command.__file__).name}([^#\n]*)", command.__doc__)
+    assert lines
+    for line in lines:
+        assert parsed(command.Options, line.split(), "").cells()
 
 
 def test_a_repeated_option_adds_values_and_a_comma_separates_them():

@@ -84,7 +84,7 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (swept(policy=("model.zip",)), "no model of Stable-Baselines3"),
     (swept(policy=("mine.py:Other",)), "defines no Other"),
     (swept(settings=("device=toaster",)), "device toaster"),
-    (swept(executor="slurm", out=Path("begun")), "--executor slurm is for machines"),
+    (swept(executor="slurm"), "--executor slurm is for machines"),
     # results and what is made of them
     (lambda: load(Path("nowhere")), "no results"),
     (empty, "no finished cell"),

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.columns import Env, Observed
+from agents.extra_column import Env, Observed
 from agents.files import load_arrays, save_arrays
 from agents.greedy import Greedy, best, with_weights
 from agents.rules.perception import Perception, View

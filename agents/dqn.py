@@ -23,7 +23,7 @@ from agents.episodes import Episodes
 from agents.greedy import Greedy, best
 from agents.learner import Trained, check_numbers
 from agents.models import Network, Standardised, flatten, network_class, unflattened
-from agents.replay import Batch, Replay
+from agents.replay_memory import Batch, Replay
 from agents.streams import episode_seed, number, stream
 
 
@@ -75,7 +75,7 @@ class DQNConfig:
 
     @property
     def is_by_hand(self) -> bool:
-        """Whether the update is compiled (`agents.by_hand`) and not torch's."""
+        """Whether the update is compiled (`agents.compiled`) and not torch's."""
         return self.by_hand and (self.network, self.device) == ("attention", "cpu")
 
     @property
@@ -132,7 +132,7 @@ class DQN:
         self._optimizer = torch.optim.Adam([self._weights], lr=config.learning_rate, fused=True)
         self._by_hand = None
         if config.is_by_hand and network is None:
-            from agents.by_hand import ByHand  # needs numba
+            from agents.compiled import ByHand  # needs numba
 
             self._by_hand = ByHand(self.online, self.target, self._weights, self._target_weights)
 
@@ -324,7 +324,7 @@ def greedy(config: DQNConfig) -> type[Greedy]:
     """The kind of policy that such a learner makes."""
     if not config.is_by_hand:
         return Greedy
-    from agents.by_hand import Compiled  # needs numba
+    from agents.compiled import Compiled  # needs numba
 
     return Compiled
 

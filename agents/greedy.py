@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from agents.columns import with_column
+from agents.extra_column import with_column
 from agents.files import DamagedFile, load_arrays, save_arrays
 
 

@@ -16,9 +16,9 @@ from sumo_env.env import DrivingEnv
 from sumo_env.env.cars import REPLICA, Cars, Seen, asked
 from sumo_env.networks import files
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.asked import OPTIONS
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
+from sumo_env.tasks.reset_options import OPTIONS
 
 try:
     from pettingzoo import ParallelEnv

@@ -41,7 +41,8 @@ from sumo_env.contacts.rectangles import State, separation, state_of, states
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.replica.linear import LAWS, LinearDriver, draw, linear_drivers
 from sumo_env.scene import OBSTACLE_SIZE, Scene
-from sumo_env.spaces.interface import information, interface
+from sumo_env.spaces.info import information
+from sumo_env.spaces.interface import interface
 from sumo_env.sumo import export
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
@@ -162,7 +163,7 @@ class ScenarioEnv(AbstractEnv):
         )
 
     def _ending(self) -> str:
-        """As `sumo_env.spaces.interface.ending`."""
+        """As `sumo_env.spaces.info.ending`."""
         if self.vehicle.crashed or self._arrived():
             return "crash" if self.vehicle.crashed else "arrived"
         return "time" if self.steps and self._is_truncated() else ""

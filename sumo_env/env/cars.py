@@ -20,7 +20,7 @@ from sumo_env.config import MOST_VEHICLES, Config, ConfigError, keys_of, whole_n
 from sumo_env.env.driving import DrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import Commands
-from sumo_env.spaces.interface import paid_late
+from sumo_env.spaces.info import paid_late
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
 

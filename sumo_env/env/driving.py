@@ -22,10 +22,11 @@ from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import Scene
 from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
 from sumo_env.spaces.actions import PlainAction, ego_route
-from sumo_env.spaces.interface import ending, information, interface, on_its_way, paid_late
+from sumo_env.spaces.info import ending, information, on_its_way, paid_late
+from sumo_env.spaces.interface import interface
 from sumo_env.streams import stream
 from sumo_env.sumo.process import SumoProcess
-from sumo_env.tasks import asked, get_task
+from sumo_env.tasks import get_task, reset_options
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.traffic.tilt import asked_tilt
@@ -151,11 +152,11 @@ class DrivingEnv(OnScreen, OwnSumo):
     def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
         """Draw the traffic of an episode and let it drive until the ego is there, see `reset`."""
         super().reset(seed=seed)
-        options = asked.checked(options)
+        options = reset_options.checked(options)
         # also without options: users of highway-env write to env.unwrapped.config directly
         if options.get("config") or self.config != self._configured:
             self.configure(options.get("config"))
-        self._drawn_by = task = asked.varied(self.task, options, self.config["risk"])
+        self._drawn_by = task = reset_options.varied(self.task, options, self.config["risk"])
         tilt = asked_tilt(options, task.risk_rates, self.config["risk"], self.config["duration"])
         try:
             if (given := options.get("scenario")) is not None:
@@ -207,7 +208,7 @@ class DrivingEnv(OnScreen, OwnSumo):
             ``info`` has the same keys after every step and reset: speed [m/s], crashed, arrived, on_road, action (-1 at
             a reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, empty without a
             crash), ending ("" while the episode goes on, then crash, arrived, missed turn, time and others, see
-            `interface.ending`), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
+            `info.ending`), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
             is near), min_ttc_before_contact, near_miss, distance [m] of this step, traffic_light (the next one on
             the ego's way: 0 red, 1 yellow, 2 green, -1 without one), traffic_light_distance [m] (inf without one).
             With ``event_factor`` also those of `scene.NearEvents`.

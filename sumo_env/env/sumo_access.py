@@ -18,10 +18,10 @@ from sumo_env.config import ConfigError
 from sumo_env.networks import files
 from sumo_env.simulator import Commands, Simulator
 from sumo_env.sumo import export
-from sumo_env.sumo.options import OUTPUT_DIR, check_live, check_options
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo
 from sumo_env.sumo.settings import file_settings
+from sumo_env.sumo.user_options import OUTPUT_DIR, check_live, check_options
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.file_checks import check_outputs
 from sumo_env.traffic.scenario import Scenario

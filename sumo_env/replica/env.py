@@ -24,8 +24,8 @@ from sumo_env.replica.simulator import Replica
 from sumo_env.scene import Scene
 from sumo_env.spaces.observation import OFFSETS, Kinematics
 from sumo_env.tasks import get_task
-from sumo_env.tasks.asked import VARIED
 from sumo_env.tasks.base import Task
+from sumo_env.tasks.reset_options import VARIED
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.traffic.tilt import TILTED
 

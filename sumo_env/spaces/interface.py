@@ -1,13 +1,11 @@
-"""The agent's side of a task, as a function of the configuration alone, the ``info`` of a step, and what is given to
-several environments at once.
+"""The agent's side of a task, as a function of the configuration alone; and what is given to several environments.
 
 Separate from the environment because the backend highway-env of the experiments uses it as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -16,17 +14,14 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from sumo_env.config import MEASURED, Config, ConfigError, warn_once
-from sumo_env.contacts.crash import CrashRecord
-from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.not_here import page
-from sumo_env.scene import Place, Scene
 from sumo_env.spaces.actions import ActionType, ContinuousAction, action_type
 from sumo_env.spaces.grayscale import Grayscale
-from sumo_env.spaces.neighbours import LeadersFollowers
+from sumo_env.spaces.leaders_followers import LeadersFollowers
 from sumo_env.spaces.observation import Kinematics, TimeToCollision
 from sumo_env.spaces.occupancy import OccupancyGrid
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.base import EgoState, Task
+from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
 
 ObservationType = Kinematics | TimeToCollision | OccupancyGrid | Grayscale | LeadersFollowers
@@ -78,79 +73,6 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     else:
         observation = TimeToCollision(given, config["policy_frequency"])
     return Interface(kind, observation)
-
-
-def paid_late() -> float:
-    """The reward of a step after the end of an episode, with a warning."""
-    gym.logger.warn("this episode is over, and a step after its end pays 0: call reset()")
-    return 0.0
-
-
-def information(
-    scene: Scene,
-    crash: CrashRecord | None,
-    min_ttc: float,
-    distance: float,
-    *,
-    arrived: bool,
-    on_road: bool,
-    rewards: Mapping[str, float],
-    action: Any,
-    ending: str,
-) -> dict[str, Any]:
-    """The ``info`` of a step, or of a reset with the action type's `no_action`; see `DrivingEnv.step`.
-
-    The same keys with values of the same types always, none of them None or NaN, so that libraries can store and merge
-    it: without a crash its record is empty, because gymnasium cannot merge None and a record. `min_ttc` is the least
-    time to collision before a contact [s].
-    """
-    crashed = bool(scene.crashed[0])
-    info = {
-        "speed": float(scene.speed[0]),
-        "crashed": crashed,
-        "arrived": bool(arrived),
-        "on_road": bool(on_road),
-        "action": action,
-        "rewards": {name: float(value) for name, value in rewards.items()},
-        "cost": float(crashed),
-        "crash": {} if crash is None else asdict(crash),
-        "ending": ending,
-        "density": density(scene.x, scene.y),
-        "min_ttc": 0.0 if crashed else float(min_ttc),
-        "min_ttc_before_contact": float(min_ttc),
-        "near_miss": bool(min_ttc < NEAR_MISS_TTC) and not crashed,
-        "distance": float(distance),
-        "traffic_light": int(scene.light.state),
-        "traffic_light_distance": float(scene.light.distance),
-    }
-    return info if scene.near_events is None else info | scene.near_events._asdict()
-
-
-def ending(ego: EgoState, arrived: bool, terminated: bool, truncated: bool) -> str:
-    """How an episode has ended, for ``info["ending"]``; "" while it goes on.
-
-    "crash", "arrived", "missed turn", "removed" (by SUMO), "off road", "own rule" (of a subclass, or a red light), or
-    "time".
-    """
-    if not terminated:
-        return "time" if truncated else ""
-    if ego.crashed or arrived:
-        return "crash" if ego.crashed else "arrived"
-    place = ego.scene.place if ego.scene is not None else None
-    return (place.ended if place is not None else "") or ("own rule" if ego.on_road else "off road")
-
-
-def on_its_way(place: Place) -> dict[str, Any]:
-    """What ``info`` has beside on a network with SUMO's own traffic."""
-    return {
-        "missed_turn": place.ended == "missed turn",
-        "removed": place.ended == "removed",
-        "red_light": place.red_light,
-        "vehicles_waiting": place.waiting,
-        "fuel": place.fuel,
-        "electricity": place.electricity,
-        "overlap": place.overlap,
-    }
 
 
 def seeds_of(envs: VectorEnv, seed: int | Sequence[int | None] | None) -> list[int | None]:

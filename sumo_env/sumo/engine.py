@@ -56,7 +56,7 @@ LIBSUMO = Engine(libsumo, libsumo.start, "sumo", {}, (libsumo.TraCIException, li
 
 
 def window() -> Engine:
-    """SUMO's own window, by the extra ``[gui]``; `options.check_live` says whether it is there."""
+    """SUMO's own window, by the extra ``[gui]``; `user_options.check_live` says whether it is there."""
     import sumo
     import traci
 

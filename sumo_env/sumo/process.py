@@ -31,12 +31,12 @@ from sumo_env.config import warn_once
 from sumo_env.scene import Scene, same
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo import pipe
-from sumo_env.sumo.options import LIVE, check_copyable
+from sumo_env.sumo.user_options import LIVE, check_copyable
 from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
 
 SIMULATOR = "sumo_env.sumo.world:SumoSimulator"
-FILE_SIMULATOR = "sumo_env.sumo.files:FileSimulator"  # of scenarios with SUMO's own traffic
+FILE_SIMULATOR = "sumo_env.sumo.file_world:FileSimulator"  # of scenarios with SUMO's own traffic
 TIMEOUT = 300.0  # [s] for an answer; a step takes milliseconds, the start of a worker less than a second
 GRACE = 5.0  # [s] for a worker to end by itself
 SEVERAL = (
@@ -147,7 +147,7 @@ class SumoProcess:
         """A simulator in the same state.
 
         Raises:
-            TypeError: an option of SUMO forbids it (`options.check_copyable`).
+            TypeError: an option of SUMO forbids it (`user_options.check_copyable`).
             SimulatorDied: the worker has died.
             SimulatorError: somebody else has changed the simulation, or the system has no process for the copy.
         """

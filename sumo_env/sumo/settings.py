@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from sumo_env.sumo.options import OUTPUT_DIR
+from sumo_env.sumo.user_options import OUTPUT_DIR
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.traffic.sumo_files import is_output
 

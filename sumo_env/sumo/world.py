@@ -20,14 +20,14 @@ from sumo_env.contacts.crash import CrashRecord, is_confirmed
 from sumo_env.contacts.rectangles import State
 from sumo_env.scene import NO_LIGHT, Light, Place, Scene
 from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
-from sumo_env.sumo.car import Car
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.engine import LIBSUMO, window
 from sumo_env.sumo.events import Events
-from sumo_env.sumo.options import LIVE
+from sumo_env.sumo.learning_car import Car
 from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.settings import Settings, leaves_traces, placed_settings
+from sumo_env.sumo.user_options import LIVE
 from sumo_env.sumo.vehicle import OF_SUMO, Vehicle, modes
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits

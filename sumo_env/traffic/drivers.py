@@ -16,7 +16,7 @@ import numpy as np
 
 from sumo_env.scene import CAR_SIZE, OBSTACLE_SIZE, VEHICLE_LENGTH, VEHICLE_WIDTH
 from sumo_env.streams import stream
-from sumo_env.traffic.attributes import check_attributes
+from sumo_env.traffic.sumo_schemas import check_attributes
 
 POOL = 64  # drivers of one dose; SUMO holds one vehicle type for each, so the pool is finite
 SAFE_BRAKING = 2.0  # [m/s2] IDMVehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED

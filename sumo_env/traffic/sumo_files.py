@@ -20,7 +20,7 @@ from urllib.parse import unquote
 from xml.etree import ElementTree
 
 from sumo_env.config import ConfigError
-from sumo_env.traffic.attributes import schema
+from sumo_env.traffic.sumo_schemas import schema
 
 try:
     import fcntl

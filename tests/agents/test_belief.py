@@ -22,7 +22,7 @@ from agents.belief import (
     fit,
     sharpened,
 )
-from agents.columns import Observed
+from agents.extra_column import Observed
 from agents.greedy import Greedy
 from agents.rules.perception import Perception
 from tests.agents.test_rules import road, scene

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.by_hand import Passes
+from agents.compiled import Passes
 from agents.models import DuelingMLP, EgoAttention, Standardised, flatten
 
 SPACE = gym.spaces.Box(-1, 1, (6, 5), np.float32)

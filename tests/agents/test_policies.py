@@ -12,7 +12,7 @@ import torch
 
 import agents
 from agents import pretrained
-from agents.by_hand import Compiled
+from agents.compiled import Compiled
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
 from agents.policies import foreign_policy

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from agents.dqn import DQN, DQNConfig, Training, train
 from agents.learner import Trained
-from agents.replay import Replay
+from agents.replay_memory import Replay
 from tests.agents import networks
 from tests.agents.networks import Small, weights
 from tests.experiments.fake_env import FakeEnv

@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.columns import Env, Observed
+from agents.extra_column import Env, Observed
 from agents.streams import episode_seed
 from experiments.study.design.estimators import file_of
 from experiments.study.design.rules import TrainingRules

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from agents.belief import Estimator
-from agents.columns import Observed
+from agents.extra_column import Observed
 from experiments import sweep
 from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS

@@ -21,7 +21,7 @@ import sumo_env
 from sumo_env.config import ConfigError, ignore
 from sumo_env.env import DrivingEnv
 from sumo_env.scene import Place
-from sumo_env.spaces.interface import ending
+from sumo_env.spaces.info import ending
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import drive, leaves
 from tests.tasks import highway_env_task

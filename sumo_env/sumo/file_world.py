@@ -16,11 +16,11 @@ from pathlib import Path
 
 from sumo_env.scene import NO_LIGHT, Light, Place, Scene
 from sumo_env.simulator import Commands, SimulatorError
-from sumo_env.sumo.car import Car
 from sumo_env.sumo.events import deviate
-from sumo_env.sumo.options import OUTPUT_DIR
+from sumo_env.sumo.learning_car import Car
 from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.settings import file_settings
+from sumo_env.sumo.user_options import OUTPUT_DIR
 from sumo_env.sumo.vehicle import OF_SUMO, Vehicle
 from sumo_env.sumo.world import GONE, SumoSimulator
 from sumo_env.traffic.drivers import deviation

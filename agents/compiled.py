@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from agents.greedy import Greedy
 from agents.kernels import BASE, EGO, OTHERS, PARTS, WIDTH, Pass, approach, backward, descend, forward
 from agents.models import EgoAttention, Standardised, flatten
-from agents.replay import Batch
+from agents.replay_memory import Batch
 
 
 @cache

@@ -2,7 +2,7 @@
 
 support    errors, files, provenance
 backends   the simulators behind one function
-study      grid -> train -> evaluate -> stored cells (sweep.py)
+study      cells -> train -> evaluate -> stored cells (sweep.py)
 analysis   stored cells -> effects and verdicts (report.py)
 reporting  effects -> report.html
 validation the parts of validate.py

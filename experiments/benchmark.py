@@ -33,7 +33,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.backends import make_env
-from experiments.study.design.grid import choose_tasks
+from experiments.study.design.levels import choose_tasks
 from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID
 from experiments.support.arguments import command

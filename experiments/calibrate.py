@@ -32,8 +32,8 @@ import optuna
 import pandas as pd
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
-from experiments.study.design import grid
 from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.levels import choose_tasks, level_names
 from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID, Between, Space, sheet
 from experiments.study.design.traffic import AT_A_DOSE
@@ -179,7 +179,7 @@ def search(options: Options, part: str, task: str) -> dict[str, Any] | None:
     if not space:
         return None
     present = asdict(TASKS[task].calibration) if drivers else present_risk(TASKS[task])
-    judged = range(1, len(grid.level_names(task)) + 1) if drivers else range(1, 2)
+    judged = range(1, len(level_names(task)) + 1) if drivers else range(1, 2)
 
     def distance(settings: dict[str, Any], first: int, levels: Sequence[int]) -> float:
         if drivers:
@@ -215,7 +215,7 @@ def doses(options: Options, task: str) -> pd.DataFrame:
 
 def calibrate(options: Options) -> dict[str, Any]:
     """Do the parts for every task and write the results; returns the content of calibration.json."""
-    tasks = grid.choose_tasks(options.tasks or tuple(GRID))
+    tasks = choose_tasks(options.tasks or tuple(GRID))
     check_dynamics((engine.backend, task) for engine in (SUMO, HIGHWAY_ENV) for task in tasks)
     result: dict[str, Any] = {"scenarios": options.scenarios}
     tables = []

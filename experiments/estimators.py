@@ -35,7 +35,7 @@ from agents.streams import stream
 from experiments.backends import make_env
 from experiments.study.design import estimators
 from experiments.study.design.arms import scenario_seed
-from experiments.study.design.grid import env_config, level_names
+from experiments.study.design.levels import env_config, level_names
 from experiments.study.design.traffic import TRAFFICS
 from experiments.support.arguments import command
 from experiments.support.errors import unknown

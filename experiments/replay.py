@@ -38,8 +38,8 @@ import gymnasium as gym
 import tyro
 
 from experiments import backends
-from experiments.study.compute.cell import MakeEnv
-from experiments.study.design.grid import tested_on
+from experiments.study.compute.cell_task import MakeEnv
+from experiments.study.design.cell import tested_on
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, ending, play_again
 from experiments.study.results.store import EPISODES, Store, find_cell

@@ -32,16 +32,16 @@ import pandas as pd
 import tyro
 
 from experiments import backends
-from experiments.study.compute.cell import CellTask, MakeEnv
+from experiments.study.compute.cell_task import CellTask, MakeEnv
 from experiments.study.compute.cells import compute
 from experiments.study.compute.executors import EXECUTORS, cores
 from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import duration, seconds
 from experiments.study.compute.run import compute_here
+from experiments.study.design.cell import Cell
 from experiments.study.design.estimators import known_digest
 from experiments.study.design.experiment import shard
 from experiments.study.design.fingerprint import check_dynamics, check_learners, known_dynamics
-from experiments.study.design.grid import Cell
 from experiments.study.design.options import Asked, argument
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG

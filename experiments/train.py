@@ -26,8 +26,8 @@ import tyro
 
 from agents.files import atomic
 from experiments.study.compute.cells import compute
+from experiments.study.design.cell import Cell
 from experiments.study.design.fingerprint import check_dynamics, check_learners
-from experiments.study.design.grid import Cell
 from experiments.study.design.options import Asked, Names, argument
 from experiments.study.results.store import Store
 from experiments.study.results.working import LOG

@@ -27,8 +27,8 @@ from typing import Annotated, Any
 import pandas as pd
 import tyro
 
-from experiments.study.design import grid
 from experiments.study.design.fingerprint import check_dynamics, dynamics
+from experiments.study.design.levels import choose_levels, choose_tasks
 from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
@@ -86,8 +86,8 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     """
     if options.update and (options.quick or options.levels):
         raise UserError("--update stores what is said of whole tasks: leave out --quick and --levels")
-    tasks = grid.choose_tasks(options.tasks or tuple(GRID))
-    levels = grid.choose_levels(tasks, options.levels or None)
+    tasks = choose_tasks(options.tasks or tuple(GRID))
+    levels = choose_levels(tasks, options.levels or None)
     scenarios = min(options.scenarios, QUICK_SCENARIOS) if options.quick else options.scenarios
     check_dynamics((backend, task) for backend in ("sumo", "replica") for task in tasks)
     work = episodes.plan(engines(options), levels, tuple(TRAFFICS), range(scenarios))

@@ -29,7 +29,7 @@ import tyro
 from experiments.backends import make_env
 from experiments.reporting.tables import listing
 from experiments.study.design.arms import ARMS
-from experiments.study.design.grid import tested_on
+from experiments.study.design.cell import tested_on
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.rerun import Case, ending, play_again
 from experiments.study.results.store import EPISODES, Store

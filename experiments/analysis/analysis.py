@@ -16,8 +16,8 @@ from agents.rules import POLICIES
 from experiments.analysis import pairs
 from experiments.analysis import plan as plans
 from experiments.analysis.by_task import OWN, by_task
-from experiments.analysis.cells import comparable, incomplete, is_main, leave_out, unfinished
 from experiments.analysis.claims import claims, price, primary
+from experiments.analysis.comparable import comparable, incomplete, is_main, leave_out, unfinished
 from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
@@ -26,7 +26,7 @@ from experiments.analysis.influence import influence
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import SETTING, arms_of, in_order, with_outcomes
 from experiments.study.design.arms import ARMS, EXTRA_ARMS, PAIRS
-from experiments.study.design.grid import LEARNER
+from experiments.study.design.cell import LEARNER
 from experiments.study.results.store import Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes

@@ -72,7 +72,7 @@ def once_each(episodes: pd.DataFrame) -> pd.DataFrame:
         raise ValueError(
             f"{len(twice)} episodes are there twice, the first one of {row['arm']} {row['seed']} in {row['task']} "
             f"{row['level_name']}: scenario {row['scenario']} in {row['traffic']} traffic; "
-            "choose one group of cells (`cells.comparable`)"
+            "choose one group of cells (`comparable.comparable`)"
         )
     return episodes
 

@@ -25,7 +25,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
-from experiments.study.design.grid import level_names
+from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import sheet
 from experiments.validation.episodes import BIN, BINS, CORE, HEADWAYS, PAIR, egos
 

@@ -26,7 +26,7 @@ from experiments.study.compute.executors.local import LocalExecutor
 from experiments.study.compute.progress import LENGTH, STEP, ProgressDisplay
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
-from experiments.study.design.grid import level_names
+from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import sheet
 from experiments.study.design.traffic import AT_A_DOSE
 from experiments.study.results.working import LOG

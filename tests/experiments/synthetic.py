@@ -16,8 +16,8 @@ import pandas as pd
 
 from agents.rules import POLICIES
 from experiments.study.compute.evaluate import COLUMNS
-from experiments.study.design import grid
 from experiments.study.design.arms import ARMS, EVERY_ARM, PAIRS, gate_traffics
+from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.store import EPISODES, GATES, Store
@@ -41,7 +41,7 @@ def generator(*words: object) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(repr(words).encode()))
 
 
-def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test") -> pd.DataFrame:
+def episodes(cell: Cell, effect: float, spread: float, purpose: str = "test") -> pd.DataFrame:
     """Episodes of a cell; `effect` is added to the treated agents' chance to crash in risky traffic."""
     agent = cell.parent if cell.kind == "test" else cell
     own = generator(agent.slug, "agent").normal(0, spread) if cell.arm else 0.0
@@ -87,7 +87,7 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
     return pd.DataFrame(columns, index).astype(COLUMNS)
 
 
-def learner(cell: grid.Cell, diverged: bool) -> dict[str, Any]:
+def learner(cell: Cell, diverged: bool) -> dict[str, Any]:
     """What is kept of a training, whose episodes get longer and safer."""
     bound = (5.0 if cell.task == "intersection" else 1.0) / (1 - cell.profile["gamma"])
     largest = 1e9 if diverged else 0.6 * bound
@@ -118,7 +118,7 @@ def write(
     updates: int = 400,
     further: Sequence[str] = (),
     **asked: Any,
-) -> list[grid.Cell]:
+) -> list[Cell]:
     """Write a result directory and return its cells.
 
     levels: numbers by task. diverged: slug of an agent. further: arms beside the two. asked: of the experiment.

@@ -11,14 +11,15 @@ import pytest
 
 from experiments import estimators, report, validate
 from experiments.study.compute.evaluate import drives, evaluate
-from experiments.study.design import experiment, grid
+from experiments.study.design import experiment
+from experiments.study.design.levels import choose_levels, choose_tasks
 from experiments.study.results.store import Store, load
 from experiments.support.errors import UserError
 from experiments.support.films import check_film
 from experiments.sweep import Options, sweep
 from tests.experiments.computed import TINY
 from tests.experiments.fake_env import make_env
-from tests.experiments.study.test_grid import cells
+from tests.experiments.study.test_experiment import cells
 
 FILES = {
     "mine.py": "class Mine:\n    def __init__(self, env): pass\n    def act(self, observation): return 4\n",
@@ -68,8 +69,8 @@ def empty() -> None:
 
 
 ROWS: list[tuple[Callable[[], Any], str]] = [
-    (lambda: grid.choose_tasks(["higway"]), "did you mean 'highway'"),
-    (lambda: grid.choose_levels(["highway"], [4]), "known are 1, 2, 3"),
+    (lambda: choose_tasks(["higway"]), "did you mean 'highway'"),
+    (lambda: choose_levels(["highway"], [4]), "known are 1, 2, 3"),
     *((partial(cells, **asked), word) for asked, word in CELLS),
     (lambda: experiment.shard([], "3/2"), "1 <= i <= n"),
     (lambda: experiment.shard([], "half"), "--shard"),

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from experiments.analysis.analysis import analyse
-from experiments.analysis.cells import comparable
+from experiments.analysis.comparable import comparable
 from experiments.replay import Options as ReplayOptions
 from experiments.replay import replay
 from experiments.study.compute.run import Attempt, attempt

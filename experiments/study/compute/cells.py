@@ -8,12 +8,12 @@ from contextlib import closing
 from pathlib import Path
 
 from experiments import backends
-from experiments.study.compute.cell import CellTask, MakeEnv
+from experiments.study.compute.cell_task import CellTask, MakeEnv
 from experiments.study.compute.executors import cores, open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
 from experiments.study.compute.progress import ProgressDisplay, duration, seconds
 from experiments.study.compute.run import run
-from experiments.study.design.grid import Cell
+from experiments.study.design.cell import Cell
 from experiments.study.results.store import Store
 
 

@@ -13,8 +13,8 @@ from agents.plugins import foreign
 from agents.policies import Policy, as_policy, foreign_policy
 from agents.rules import make_policy
 from experiments.study.compute.wrappers import believing, observed
-from experiments.study.design.grid import learner_of
-from experiments.study.design.rules import TrainingRules
+from experiments.study.design.cell import learner_of
+from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
 from sumo_env.spaces.actions import DiscreteMetaAction
 

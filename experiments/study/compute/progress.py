@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from experiments.study.compute.run import Observer, Task
-from experiments.study.design.grid import Cell
+from experiments.study.design.cell import Cell
 from experiments.study.results.working import fraction_done
 
 # Processor seconds of a common server, roughly: for a policy step of each simulator, and for an update of the learner.

@@ -17,7 +17,7 @@ from agents.streams import episode_seed
 from experiments.study.compute.policies import check
 from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
-from experiments.study.design.grid import Cell, learner_of
+from experiments.study.design.cell import Cell, learner_of
 from experiments.support.errors import in_words
 
 CURVE = 20  # parts of a learning curve

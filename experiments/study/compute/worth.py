@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from experiments.study.design.rules import TrainingRules
+from experiments.study.design.training_rules import TrainingRules
 
 
 class Worth(gym.Wrapper[Any, Any, Any, Any]):

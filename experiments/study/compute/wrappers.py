@@ -10,8 +10,8 @@ import gymnasium as gym
 from agents.extra_column import Env, Observed
 from agents.streams import episode_seed
 from experiments.study.design.estimators import file_of
-from experiments.study.design.rules import TrainingRules
 from experiments.study.design.traffic import Traffic
+from experiments.study.design.training_rules import TrainingRules
 from sumo_env.traffic.scenario import Scenario
 
 
@@ -83,7 +83,7 @@ def observed(env: Env, rules: TrainingRules) -> Env:
 
 
 def believing(env: Env, pair: Mapping[str, Any]) -> Env:
-    """The environment of two agents together: the belief is its last column (pair: as in `grid.Cell`)."""
+    """The environment of two agents together: the belief is its last column (pair: as in `cell.Cell`)."""
     if "estimator_sha256" not in pair:
         return Observed(env, lambda _: 0.5)
     # here: not every command needs torch

@@ -27,7 +27,7 @@ class Arm:
     """A way of training.
 
     traffic: of the training. judged_in: traffics that the gates look at; exploratory arms are judged in regular
-    traffic, or in both where their doses are drawn. rules: what differs in `rules.TrainingRules`.
+    traffic, or in both where their doses are drawn. rules: what differs in `training_rules.TrainingRules`.
     """
 
     name: str

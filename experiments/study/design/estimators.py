@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from agents.plugins import sha256
 
 if TYPE_CHECKING:
-    from experiments.study.design.grid import Cell
+    from experiments.study.design.cell import Cell
 
 FOLDER = Path(__file__).resolve().parents[3] / "results" / "estimators"
 

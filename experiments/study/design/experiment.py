@@ -12,19 +12,13 @@ from agents.plugins import foreign
 from agents.rules import CAUTIONS, DRIVERS, POLICIES
 from experiments.backends import BACKENDS
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED, PAIRS
+from experiments.study.design.cell import LEARNER, Cell
 from experiments.study.design.estimators import digest
 from experiments.study.design.fingerprint import dynamics, learner_name
-from experiments.study.design.grid import (
-    LEARNER,
-    Cell,
-    choose_levels,
-    choose_tasks,
-    env_config,
-    level_names,
-)
-from experiments.study.design.rules import RULES, TrainingRules
+from experiments.study.design.levels import choose_levels, choose_tasks, env_config, level_names
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
+from experiments.study.design.training_rules import RULES, TrainingRules
 from experiments.support.errors import UserError, in_words, unknown
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
@@ -38,7 +32,7 @@ PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 class Experiment:
     """All that an experiment consists of, as a preset (`presets`) and the options of a sweep (`options.Asked`) say.
 
-    learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `rules.TrainingRules`, before
+    learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `TrainingRules`, before
     updates, network, settings and crash_reward, which are the same for all tasks. gate_episodes: episodes in each
     traffic for the gates. levels: none are all. further_episodes: of a further test in each traffic, at most. lightest:
     further traffics, for the lightest level alone (of SUMO's drivers on SUMO). at_ends: by task an arm more, for the

@@ -183,7 +183,7 @@ def learnt(settings: Mapping[str, Any]) -> Behaviour:
     """The Q-values of our learner with such settings on some observations, after UPDATES updates."""
     from agents.learner import settings_of  # here: not every command needs the learner
     from agents.learners import learner
-    from experiments.study.design.grid import LEARNER
+    from experiments.study.design.cell import LEARNER
 
     found = learner(LEARNER)
     few = {"updates": UPDATES, "steps_per_update": 2, "warm_up": 100, "batch_size": 32, "learning_rate": 5e-3}

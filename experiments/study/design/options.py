@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import tyro
 
+from experiments.study.design.cell import Cell
 from experiments.study.design.estimators import digest
 from experiments.study.design.experiment import Digest, Dynamics, Experiment
 from experiments.study.design.fingerprint import dynamics
-from experiments.study.design.grid import Cell
 from experiments.study.design.presets import PRESETS
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import UNSEEN

@@ -20,7 +20,7 @@ from experiments.backends import make_env
 from experiments.study.compute.evaluate import driving
 from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
-from experiments.study.design.grid import LEARNER, tested_on
+from experiments.study.design.cell import LEARNER, tested_on
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import run_command
 from sumo_env.tasks import TASKS

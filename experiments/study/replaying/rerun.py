@@ -13,7 +13,7 @@ from agents import pretrained
 from agents.rules.constant import Constant
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.policies import driver
-from experiments.study.design import grid
+from experiments.study.design.cell import tested_on, versions
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
@@ -48,7 +48,7 @@ def play_again(
 ) -> dict[str, Any]:
     """Play a test episode again and return its row of `evaluate.COLUMNS`.
 
-    env: of its test, see `grid.tested_on`. closed_loop: drive the policy itself also where the actions are stored.
+    env: of its test, see `cell.tested_on`. closed_loop: drive the policy itself also where the actions are stored.
 
     Raises:
         UserError: the weights are not here, code is needed that is not named, or one of them does not fit.
@@ -111,8 +111,8 @@ def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
 def changed_versions(record: Mapping[str, Any]) -> list[str]:
     """Versions that differ from those of a stored cell, in words."""
     key = record["key"]
-    backend, task, _ = grid.tested_on(key)
-    now = {**grid.versions(key["backend"], backend), "dynamics": dynamics(backend, task)}
+    backend, task, _ = tested_on(key)
+    now = {**versions(key["backend"], backend), "dynamics": dynamics(backend, task)}
     then = {**key, **(key.get("test_on") or {})}.get("dynamics")
     return [
         f"{name} {now.get(name)} (was {old})"

@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from agents.schema import Wrong, check
 from experiments.study.design.arms import gate_traffics
-from experiments.study.design.grid import RESULT_SCHEMA, cell_name
+from experiments.study.design.cell import RESULT_SCHEMA, cell_name
 from experiments.study.design.traffic import TRAFFICS
 from experiments.support.files import is_name
 from sumo_env.tasks import TASKS

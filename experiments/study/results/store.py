@@ -1,6 +1,6 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice; all of them as tables.
 
-DIR/cells/CELL.parquet     a finished cell: its test episodes and its record (see `tables`)
+DIR/cells/CELL.parquet     a finished cell: its test episodes and its record (see `parquet`)
 DIR/parts/PART.parquet     the cells of one arm of a setting in one such file, which is written once (`Store.pack`)
 DIR/weights/CELL.npz, DIR/training/CELL.parquet     of agents: their weights, and a row a training episode
 DIR/work/CELL/             a cell in progress or given up: lock, log of what went wrong (see `run`)
@@ -25,8 +25,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from agents.schema import check
-from experiments.study.design.grid import RESULT_SCHEMA, Cell, setting
-from experiments.study.results import frozen, tables
+from experiments.study.design.cell import RESULT_SCHEMA, Cell, setting
+from experiments.study.results import frozen, parquet
+from experiments.study.results.parquet import DamagedCell, DamagedPart, asked_of
 from experiments.study.results.schema import (
     COLUMNS,
     EPISODES,
@@ -36,7 +37,6 @@ from experiments.study.results.schema import (
     WEIGHTS,
     table_of,
 )
-from experiments.study.results.tables import DamagedCell, DamagedPart, asked_of
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
 from experiments.support.files import (
@@ -90,7 +90,7 @@ class Store:
         """A cell's part of the "records" or "frames" of the file that it is in. Raises as `record` does."""
         own = self._own(name)
         if own.exists() or own.is_symlink():
-            found = asked_of(own, getattr(tables, of), DamagedCell)
+            found = asked_of(own, getattr(parquet, of), DamagedCell)
             if list(found) != [name]:
                 raise DamagedCell(own, f"its content is that of {', '.join(found)}")
             return found[name]
@@ -173,7 +173,7 @@ class Store:
         """
         table = table_of(cell.name, files)
         digests = {
-            file: tables.digest(table.filter(pc.equal(table["purpose"], purpose)))
+            file: parquet.digest(table.filter(pc.equal(table["purpose"], purpose)))
             for file, purpose in PURPOSES.items()
             if file in files
         }
@@ -190,7 +190,7 @@ class Store:
             **record,
             "files": digests | {file: sha256_bytes(data) for file, data in beside.items()},
         }
-        content = tables.content({cell.name: value}, table)
+        content = parquet.content({cell.name: value}, table)
         if self._own(cell.name).exists():
             return  # somebody else has computed the same
         for file, data in beside.items():
@@ -278,9 +278,9 @@ class Store:
             for part, names in groups.items():
                 if new := [name for name in names if name not in packed]:
                     path = made(self.parts) / f"{part}-{sha256_bytes(' '.join(new).encode())[:8]}.parquet"
-                    rows = pa.concat_tables(tables.read(self._own(name)) for name in new)
-                    write_file(path, tables.content({name: self.record(name) for name in new}, rows))
-                    asked_of(path, tables.frames, DamagedPart)
+                    rows = pa.concat_tables(parquet.read(self._own(name)) for name in new)
+                    write_file(path, parquet.content({name: self.record(name) for name in new}, rows))
+                    asked_of(path, parquet.frames, DamagedPart)
                 for name in names:
                     self._own(name).unlink()
         return [name for name in own if name not in packed]
@@ -288,7 +288,7 @@ class Store:
 
 def _reader(path: Path) -> ModuleType:
     """What reads the records and frames of packed cells: frozen folders have a format of their own."""
-    return frozen if path.name == frozen.CELLS else tables
+    return frozen if path.name == frozen.CELLS else parquet
 
 
 def part_of(key: Mapping[str, Any]) -> str:

@@ -11,8 +11,8 @@ import pytest
 from scipy import stats
 
 from experiments.analysis.analysis import Analysis, analyse
-from experiments.analysis.cells import comparable
 from experiments.analysis.claims import claims
+from experiments.analysis.comparable import comparable
 from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means, slopes
 from experiments.analysis.estimate import Estimate, equivalence, interval, linear
 from experiments.analysis.gates import THRESHOLDS

@@ -28,7 +28,7 @@ from agents.plugins import sha256
 from experiments.reporting.page import LARGEST, films
 from experiments.study.compute.policies import driver
 from experiments.study.compute.run import locked, log, watched
-from experiments.study.design.grid import learner_of
+from experiments.study.design.cell import learner_of
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results import frozen
 from experiments.study.results.store import DamagedCell, Store, load

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from experiments.study.results import store, tables
+from experiments.study.results import parquet, store
 from experiments.study.results.store import Store, load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
@@ -127,6 +127,6 @@ def test_a_packing_that_is_killed_anywhere_loses_nothing_and_is_done_by_the_same
 
 def test_sizes_are_looked_at_before_reading(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A few bytes can be unpacked to any number of rows."""
-    monkeypatch.setattr(tables, "ROWS", 5)
+    monkeypatch.setattr(parquet, "ROWS", 5)
     with pytest.raises(UserError, match="too many"):
         load(results)

@@ -13,7 +13,7 @@ from agents.extra_column import Observed
 from experiments import sweep
 from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
-from experiments.study.design.grid import Cell, cell_name
+from experiments.study.design.cell import Cell, cell_name
 from experiments.study.design.options import Asked
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError

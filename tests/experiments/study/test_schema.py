@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from agents.schema import Wrong, check, parsed
-from experiments.study.design.grid import cell_name
-from experiments.study.results import tables
+from experiments.study.design.cell import cell_name
+from experiments.study.results import parquet
 from experiments.study.results.schema import SCHEMA, as_table
 from experiments.study.results.store import Store, load
 
@@ -25,7 +25,7 @@ def rewritten(
     path: Path, of_record: Callable[[dict[str, Any]], object], of_rows: Callable[[pd.DataFrame], pd.DataFrame]
 ) -> str:
     """Change a stored cell as somebody else could, with its right checksum and name; returns the name."""
-    [record], rows = tables.records(path).values(), tables.read(path).to_pandas()
+    [record], rows = parquet.records(path).values(), parquet.read(path).to_pandas()
     record = json.loads(json.dumps(record))
     of_record(record)
     rows = of_rows(rows)
@@ -42,7 +42,7 @@ def rewritten(
         table = as_table(rows, None)
     with pq.ParquetWriter(data, table.schema, store_schema=False) as writer:
         writer.write_table(table)
-        writer.add_key_value_metadata({"records": text, "sha256": tables.digest(table, text)})
+        writer.add_key_value_metadata({"records": text, "sha256": parquet.digest(table, text)})
     path.unlink()
     (path.parent / f"{name.replace('/', '')}.parquet").write_bytes(data.getvalue())
     return name.replace("/", "")

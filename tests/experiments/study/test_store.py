@@ -14,7 +14,7 @@ import pytest
 
 from agents.schema import Wrong
 from experiments.study.compute.run import attempt
-from experiments.study.design import grid
+from experiments.study.design.cell import Cell
 from experiments.study.results import store
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
@@ -22,7 +22,7 @@ from tests.experiments.computed import damage, tasks_of
 
 
 @pytest.fixture(scope="module")
-def cells(finished) -> list[grid.Cell]:
+def cells(finished) -> list[Cell]:
     return [task.cell for task in tasks_of(finished)]
 
 

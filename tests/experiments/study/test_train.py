@@ -11,11 +11,11 @@ import pytest
 
 from agents.learner import Trained
 from agents.streams import episode_seed
-from experiments.study.compute.cell import CellTask
+from experiments.study.compute.cell_task import CellTask
 from experiments.study.compute.train import train_cell
 from experiments.study.design.arms import EVERY_ARM, TEST, scenario_seed, training_seed
+from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
-from experiments.study.design.grid import Cell
 from tests.agents.networks import weights
 from tests.experiments.fake_env import FakeEnv, make_env
 

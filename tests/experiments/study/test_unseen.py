@@ -9,7 +9,7 @@ import pandas as pd
 from agents.rules import make_policy
 from experiments.backends import make_env
 from experiments.study.compute.evaluate import drives, evaluate
-from experiments.study.design.grid import env_config
+from experiments.study.design.levels import env_config
 from experiments.study.design.options import Asked
 from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
 from sumo_env.tasks import get_task

@@ -15,9 +15,9 @@ from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.compute.worth import Worth
 from experiments.study.compute.wrappers import TimeObserved, TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM
-from experiments.study.design.grid import env_config
-from experiments.study.design.rules import TrainingRules
+from experiments.study.design.levels import env_config
 from experiments.study.design.traffic import ALL
+from experiments.study.design.training_rules import TrainingRules
 from sumo_env.env import DrivingEnv
 from tests.experiments.fake_env import FakeEnv, make_env
 

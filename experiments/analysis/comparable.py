@@ -14,7 +14,7 @@ from typing import Any
 from agents.rules import POLICIES
 from experiments.analysis.scores import SETTING
 from experiments.study.design.arms import ARMS
-from experiments.study.design.grid import setting
+from experiments.study.design.cell import setting
 from experiments.study.results.store import Results
 from experiments.support.files import canonical_json
 
@@ -123,7 +123,7 @@ def group(cell: Cell) -> dict[str, Any]:
 def unfinished(results: Results, chosen: Results) -> dict[str, str]:
     """What is missing of settings: agents of both arms that a sweep has asked for, and that are not chosen.
 
-    Settings are named as in `grid.setting`; those that no sweep has asked for are not named.
+    Settings are named as in `cell.setting`; those that no sweep has asked for are not named.
     """
     asked: dict[str, list[str]] = {}
     for name in dict.fromkeys((*results.expected, *results.cells)):
@@ -136,7 +136,7 @@ def unfinished(results: Results, chosen: Results) -> dict[str, str]:
 
 
 def incomplete(results: Results) -> dict[str, str]:
-    """What a comparison lacks, by setting as in `grid.setting`: agents of both arms with the same seeds, baselines."""
+    """What a comparison lacks, by setting as in `cell.setting`: agents of both arms with the same seeds, baselines."""
     found: dict[str, dict[str, list[Any]]] = {}
     for cell in results.cells.values():
         key = cell["key"]
@@ -158,7 +158,7 @@ def incomplete(results: Results) -> dict[str, str]:
 
 
 def leave_out(results: Results, gone: Container[str] = (), settings: Container[str] = ()) -> Results:
-    """The results without some cells, and without the agents of some settings, named as in `grid.setting`."""
+    """The results without some cells, and without the agents of some settings, named as in `cell.setting`."""
     stay = {
         name: cell
         for name, cell in results.cells.items()

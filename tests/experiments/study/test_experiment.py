@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from agents.streams import episode_seed
-from experiments.study.design import experiment, grid
+from experiments.study.design import experiment
 from experiments.study.design.arms import (
     ARMS,
     DOSE_ARMS,
@@ -18,14 +18,16 @@ from experiments.study.design.arms import (
     scenario_seed,
     training_seed,
 )
+from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
+from experiments.study.design.levels import choose_levels
 from experiments.study.design.options import Asked
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import WITHOUT, unseen_traffics
 from sumo_env.tasks import TASKS
 
 
-def cells(levels: dict | None = None, **options) -> list[grid.Cell]:
+def cells(levels: dict | None = None, **options) -> list[Cell]:
     learners = {task: {"updates": 100} for task in TASKS}
     sizes = {"preset": "own", "about": "", "seeds": 2, "episodes": 5, "gate_episodes": 5}
     asked: dict[str, Any] = {**sizes, "learners": learners, **options}
@@ -76,7 +78,7 @@ def test_the_name_follows_everything_that_changes_the_result_and_no_label():
 
 
 def test_a_level_that_only_some_tasks_have_is_taken_where_it_exists():
-    assert grid.choose_levels(["highway", "intersection"], [5]) == {"intersection": (5,)}
+    assert choose_levels(["highway", "intersection"], [5]) == {"intersection": (5,)}
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
@@ -107,7 +109,7 @@ def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
 
 
 @pytest.fixture
-def study() -> list[grid.Cell]:
+def study() -> list[Cell]:
     """The cells of plan 5, whatever estimators are there."""
     return Asked(preset="study").cells(digest=lambda cell: "0" * 64)
 

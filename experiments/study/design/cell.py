@@ -2,39 +2,29 @@
 
 A cell is named by what it computes: a readable slug and a hash of its complete key, the fingerprint of the simulator's
 behaviour included, and of the versions that can change a result. Results of other dynamics therefore never mix, and
-adding tasks, levels or seeds to the grid never renames a cell that is there already.
+adding tasks, levels or seeds never renames a cell that is there already.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from experiments.backends import SIMULATORS
 from experiments.study.design.arms import gate_traffics
-from experiments.study.design.rules import TrainingRules
-from experiments.study.design.sheet import sheet
 from experiments.study.design.traffic import BETWEEN, TRAFFICS
-from experiments.support.errors import UserError, in_words, unknown
+from experiments.study.design.training_rules import TrainingRules
+from experiments.support.errors import UserError, in_words
 from experiments.support.files import canonical_json, sha256_bytes
-from sumo_env.config import resolve
-from sumo_env.tasks import TASKS
 
 if TYPE_CHECKING:
     from agents.learner import Learner
 
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
 LEARNER = "dqn"  # of the published studies
-# highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
-HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
-IN_NAMES = {"traffic_model": "sumo"}  # a key of earlier versions, which the names of all cells contain
-BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
-# Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
-PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
-FREE = {"risk", "drivers", *PICTURES}
 NOT_IN_KEY = {"source"}  # fields of a cell
 
 
@@ -45,7 +35,7 @@ class Cell:
 
     kind: "agent", "baseline" or "test". level: 1 is the lightest traffic. arm, seed: None for baselines.
     policy: name of the learner or of the policy. profile: every setting of the learner and the rules of its training
-        (`rules.TrainingRules`); for baselines only the preset's name.
+        (`training_rules.TrainingRules`); for baselines only the preset's name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     test_on: of a further test its backend, env_config, traffics and episodes. pair: of a test of two agents together
@@ -256,55 +246,3 @@ def versions(backend: str, runs_on: str | None = None, packages: Iterable[str] =
         *packages,
     )
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
-
-
-def level_names(task: str) -> tuple[str, ...]:
-    """Names of a task's traffic levels, lightest first ("50", "100", "150"); levels are numbered from 1."""
-    return tuple(TASKS[task].levels)
-
-
-def env_config(
-    backend: str, task: str, level: int, changes: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """The complete configuration of a task at a traffic level, without the dose of risk.
-
-    Defaults are written out, so that a changed default makes other cells. changes: keys that are set to other values.
-
-    Raises:
-        UserError: a key of another backend, or that cannot be set. ConfigError: an unknown key or a wrong value.
-    """
-    names = level_names(task)
-    common = dict(changes or {})
-    own = {name: common.pop(name) for name in BACKEND_KEYS if name in common}
-    if own and backend == "sumo":
-        raise UserError(f"{', '.join(own)} is a key of the backends replica and highway-env, not of sumo")
-    if free := FREE.intersection(common):
-        raise UserError(
-            f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
-        )
-    config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], IN_NAMES, common)
-    config = {name: value for name, value in config.items() if name not in FREE}
-    return {**config, **({} if backend == "sumo" else HIGHWAY_ENV), **own}
-
-
-def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
-    """The wanted tasks in the grid's order. Raises UserError for a task that does not exist or has no sheet."""
-    for task in wanted:
-        if task not in TASKS:
-            raise unknown("task", task, TASKS)
-        sheet(task)
-    return tuple(task for task in TASKS if task in wanted)
-
-
-def choose_levels(tasks: Sequence[str], wanted: Sequence[int] | None) -> dict[str, tuple[int, ...]]:
-    """Level numbers of each task: the wanted ones that it has, or all.
-
-    Raises:
-        UserError: a level that none of the tasks has.
-    """
-    known = {task: range(1, len(level_names(task)) + 1) for task in tasks}
-    for level in wanted or ():
-        if not any(level in numbers for numbers in known.values()):
-            raise unknown("level", level, range(1, 1 + max(map(len, known.values()))))
-    chosen = {task: tuple(n for n in known[task] if wanted is None or n in wanted) for task in tasks}
-    return {task: numbers for task, numbers in chosen.items() if numbers}

@@ -18,7 +18,7 @@ from experiments.study.compute.progress import costs
 from experiments.study.compute.run import Heartbeat
 from experiments.study.compute.worth import Worth
 from experiments.study.design.arms import gate_traffics
-from experiments.study.design.grid import Cell, learner_of, tested_on
+from experiments.study.design.cell import Cell, learner_of, tested_on
 from experiments.study.results.schema import EPISODES, GATES, TRAINING, WEIGHTS
 from experiments.study.results.store import DamagedCell, Store
 from experiments.support.errors import UserError

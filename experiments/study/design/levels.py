@@ -1,0 +1,71 @@
+"""Tasks and their traffic levels, numbered from the lightest, and the configuration of the environment at each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from experiments.study.design.sheet import sheet
+from experiments.support.errors import UserError, unknown
+from sumo_env.config import resolve
+from sumo_env.tasks import TASKS
+
+# highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
+HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
+IN_NAMES = {"traffic_model": "sumo"}  # a key of earlier versions, which the names of all cells contain
+BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
+# Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
+PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
+FREE = {"risk", "drivers", *PICTURES}
+
+
+def level_names(task: str) -> tuple[str, ...]:
+    """Names of a task's traffic levels, lightest first ("50", "100", "150"); levels are numbered from 1."""
+    return tuple(TASKS[task].levels)
+
+
+def env_config(
+    backend: str, task: str, level: int, changes: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The complete configuration of a task at a traffic level, without the dose of risk.
+
+    Defaults are written out, so that a changed default makes other cells. changes: keys that are set to other values.
+
+    Raises:
+        UserError: a key of another backend, or that cannot be set. ConfigError: an unknown key or a wrong value.
+    """
+    names = level_names(task)
+    common = dict(changes or {})
+    own = {name: common.pop(name) for name in BACKEND_KEYS if name in common}
+    if own and backend == "sumo":
+        raise UserError(f"{', '.join(own)} is a key of the backends replica and highway-env, not of sumo")
+    if free := FREE.intersection(common):
+        raise UserError(
+            f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
+        )
+    config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], IN_NAMES, common)
+    config = {name: value for name, value in config.items() if name not in FREE}
+    return {**config, **({} if backend == "sumo" else HIGHWAY_ENV), **own}
+
+
+def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
+    """The wanted tasks in the grid's order. Raises UserError for a task that does not exist or has no sheet."""
+    for task in wanted:
+        if task not in TASKS:
+            raise unknown("task", task, TASKS)
+        sheet(task)
+    return tuple(task for task in TASKS if task in wanted)
+
+
+def choose_levels(tasks: Sequence[str], wanted: Sequence[int] | None) -> dict[str, tuple[int, ...]]:
+    """Level numbers of each task: the wanted ones that it has, or all.
+
+    Raises:
+        UserError: a level that none of the tasks has.
+    """
+    known = {task: range(1, len(level_names(task)) + 1) for task in tasks}
+    for level in wanted or ():
+        if not any(level in numbers for numbers in known.values()):
+            raise unknown("level", level, range(1, 1 + max(map(len, known.values()))))
+    chosen = {task: tuple(n for n in known[task] if wanted is None or n in wanted) for task in tasks}
+    return {task: numbers for task, numbers in chosen.items() if numbers}

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from experiments.replay import Options, parse_case, replay
-from experiments.study.design.cell import tested_on
+from experiments.study.design.cell import tested_on as environment_of
 from experiments.study.replaying.rerun import Case, differences, play_again
 from experiments.study.results import store
 from experiments.study.results.store import find_cell
@@ -53,7 +53,7 @@ def test_the_policy_itself_drives_and_its_actions_are_compared(cells, tmp_path, 
     case = parse_case(f"{cells[0]}:risky:1")
     others = "0" if case.row["actions"][0] != "0" else "1"
     wrong = replace(case, row={**case.row, "actions": others + case.row["actions"][1:]})
-    driven = play_again(wrong, make_env(*tested_on(case.record["key"])), closed_loop=True)
+    driven = play_again(wrong, make_env(*environment_of(case.record["key"])), closed_loop=True)
     assert driven["actions"] == case.row["actions"]
     assert differences(wrong.row, driven) == [
         f"actions {case.row['actions']} instead of {wrong.row['actions']}"

@@ -14,8 +14,8 @@ from typing import Any
 import pandas as pd
 
 from agents.schema import Wrong
+from experiments.study.results.parquet import frame
 from experiments.study.results.schema import PURPOSES
-from experiments.study.results.tables import frame
 from experiments.support.files import is_name
 
 CELLS = "cells.parquet"

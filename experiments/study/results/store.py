@@ -124,7 +124,7 @@ class Store:
         """An agent's training episodes. Raises DamagedCell; KeyError where they are not kept."""
         if (path := self._beside(name, TRAINING)) is None:
             raise KeyError(name)
-        return asked_of(path, tables.frame, DamagedCell)
+        return asked_of(path, parquet.frame, DamagedCell)
 
     def weights(self, name: str) -> Path | None:
         """The file of an agent's weights; None if it is not here. Raises DamagedCell where they are others'."""

@@ -56,6 +56,36 @@ def test_the_table_of_tasks_has_a_line_a_task_and_traffic() -> None:
     ]
 
 
+def test_a_mean_over_tasks_has_every_one_left_out_below_it() -> None:
+    table = by_task.means_of_tasks(analysis(by_task=TASKS), "sumo")
+    assert table.columns.tolist() == ["mean", "risky traffic [points]"]
+    assert table["mean"].tolist() == ["all tasks", "without two-way", "without u-turn"]
+    one_task = TASKS[TASKS["scope"].isin(["u-turn", "all tasks"])]
+    assert by_task.means_of_tasks(analysis(by_task=one_task), "sumo").empty
+
+
+def test_settings_in_which_gates_fail_are_named() -> None:
+    rows = [("two-way", "5+2", k < 1) for k in range(3)] + [("u-turn", "3", k < 2) for k in range(3)]
+    gates = pd.DataFrame([*rows, ("u-turn", "3", None)], columns=["task", "level_name", "passed"])
+    expected = {"passed": 3, "of": 7, "named": {"two-way 5+2": (1, 3)}, "rest": (2, 4)}
+    assert by_task.failing(gates, 0.5) == expected
+
+
+def test_a_setting_that_no_rule_survives_is_named_with_its_best_driver() -> None:
+    """Agents and risky traffic do not count."""
+    rows = [
+        ("two-way", "5+2", "", "regular", 0.9),
+        ("two-way", "5+2", "", "regular", 1.0),
+        ("two-way", "5+2", "control", "regular", 0.2),
+        ("u-turn", "3", "", "regular", 0.0),
+        ("u-turn", "3", "", "regular", 1.0),
+        ("u-turn", "3", "", "risky", 1.0),
+    ]
+    policies = pd.DataFrame(rows, columns=["task", "level_name", "arm", "traffic", "crashed"])
+    found = by_task.hopeless(analysis(policies=policies.assign(backend="sumo")), "sumo")
+    assert found == {"two-way 5+2": 0.9}
+
+
 def test_tasks_are_on_the_side_that_the_plan_or_their_interval_says() -> None:
     """Of the primary outcome at home by the plan, whatever the interval says; of all else by the interval."""
     verdicts = [("u-turn", "risky", "less"), ("two-way", "risky", "open"), ("two-way", "regular", "more")]

@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from sumo_env.sumo.options import check_copyable
 
 import sumo_env
 from experiments.backends import make_env
@@ -242,6 +243,7 @@ FOR_FILES = (
     "--default.action-step-length=1",
     "--random",
 )
+NO_COPIES = ("--threads=2", "--fcd-output=x", "--save-state.times=1", "--additional-files=x")
 fleet = partial(partial, sumo_env.parallel_env)
 replica, batch = partial(gym.make, "replica/roundabout-v0"), partial(gym.make_vec, "replica/highway-v0", 2)
 CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
@@ -278,6 +280,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (of_sumo("--scale=2", task=Twice("v0")), ConfigError, "no effect here"),
     *((of_sumo(option), ConfigError, "no effect here") for option in FOR_FILES),
     (of_sumo("--seed", "7"), ConfigError, "seed of reset()"),
+    *((partial(check_copyable, [option]), TypeError, "cannot be copied") for option in NO_COPIES),
     (of_sumo("--tripinfo-outptu", "trips.xml"), SimulatorError, "--tripinfo-outptu"),
     # the replica
     (partial(replica, scenarios="stock"), ConfigError, "'stock'"),

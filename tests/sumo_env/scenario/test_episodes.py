@@ -169,6 +169,11 @@ def test_what_sumo_leaves_out_of_unsorted_files_is_named(town: Path, tmp_path: P
     assert {"early", "flow.3"} <= set(env.scene.ids)
 
 
+def test_vehicles_that_cannot_come_yet_are_counted(tmp_path: Path) -> None:
+    env = SumoDrivingEnv(written(tmp_path, "queues"), ego_vehicle="q1")
+    assert env.reset(seed=0)[1]["vehicles_waiting"] > 5
+
+
 def test_the_step_is_the_file_s_or_the_user_s(town: Path) -> None:
     half = town.with_name("half.sumocfg")
     half.write_text(town.read_text().replace("<time>", '<time><step-length value="0.5"/>'))

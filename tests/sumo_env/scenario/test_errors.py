@@ -9,15 +9,16 @@ from typing import Any
 import pytest
 
 from sumo_env import parallel_env
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, warn_once
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
-from tests.sumo_env.plans import needs_sumo
+from tests.sumo_env.plans import grid, needs_sumo
 from tests.sumo_env.scenario.files import written
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
 WAY = ["A0A1", "A1B1", "B1C1", "C1C2"]
 CONFIG, NET, ROUTES = "t.sumocfg", "grid.net.xml", "t.rou.xml"
+WALK = '<person id="walker" depart="9"><walk from="A0A1" to="A1B1"/></person>'
 MIX = '<vType id="quick"/><vTypeDistribution id="mix" vTypes="quick"/>'
 # Files that are another one with one text in place of another.
 CHANGED: dict[str, tuple[str, str, str]] = {
@@ -27,6 +28,7 @@ CHANGED: dict[str, tuple[str, str, str]] = {
     "twice.sumocfg": (CONFIG, "<time>", '<time><n value="grid.net.xml"/><begin value="3"/><b value="5"/>'),
     "shift.sumocfg": (CONFIG, "<configuration>", "<?xml version='1.0' encoding='shift_jis'?><configuration>"),
     "ufo.rou.xml": (ROUTES, "<routes>", "<?xml version='1.0' encoding='ufo'?><routes>"),
+    "people.rou.xml": (ROUTES, "</routes>", f"{WALK}</routes>"),
     "no.net.xml": (NET, ' fromLane="0"', ' fromLane="-1"'),
     "none.net.xml": (NET, "<location ", '<edge id="q" from="A0" to="A1"/><location '),
     "mix.add.xml": ("t.add.xml", "<additional>", f"<additional>{MIX}"),
@@ -41,6 +43,8 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert old in text, name
         (folder / name).write_text(text.replace(old, new))
     os.mkfifo(folder / "pipe.xml")
+    (folder / "bare").mkdir()
+    grid(folder / "bare", "--no-internal-links")
     return folder
 
 
@@ -60,6 +64,7 @@ ROWS: list[tuple[dict[str, Any], type[Exception], str]] = [
     (ego(ego_type="DEFAULT_VEHTYPE"), ConfigError, "is added"),
     (ego(config={"initial_speed": "max"}), ConfigError, "'initial_speed'"),
     (ego(config={"traffic_scale": 2}), ConfigError, "2 numbers"),
+    (ego(config={"traffic_scale": [0.5, 1]}), ConfigError, "leave out an ego"),
     (ego(sumo_options=["--mesosim"]), ConfigError, "the environment's own"),
     (ego(ego_vehicle="west.20", config={"wait": 5}), SimulatorError, "'wait'"),
     (ego(config={"warm_up": 200}), SimulatorError, "'warm_up'"),
@@ -77,6 +82,7 @@ ROWS: list[tuple[dict[str, Any], type[Exception], str]] = [
     # files
     (own(network="nowhere.net.xml"), ConfigError, "no file"),
     (own(network=ROUTES), ConfigError, "no edges"),
+    (own(network="bare/grid.net.xml"), ConfigError, "no-internal-links"),
     (own(routes=NET), ConfigError, "is a network"),
     (own(routes=CONFIG), ConfigError, "is a configuration"),
     (own(routes="ufo.rou.xml"), ConfigError, "ufo.rou.xml"),
@@ -111,3 +117,24 @@ def test_a_fleet_is_refused(town: Path, monkeypatch, given: dict[str, Any], word
     with pytest.raises(ConfigError) as caught:
         parallel_env(NET, routes=ROUTES, **given)
     assert word in str(caught.value)
+
+
+WARNED: list[tuple[list[dict[str, Any]], str]] = [
+    ([own(routes="people.rou.xml")], "on foot"),
+    ([ego(config={"vehicles_count": 30})], "use 'traffic_scale'"),
+    ([ego(config={"simulation_frequency": 300})], "milliseconds.*-10%"),
+    ([ego(), ego()], "read the first one"),
+]
+
+
+@pytest.mark.parametrize(("given", "word"), WARNED, ids=str)
+def test_what_differs_from_what_one_would_think_is_said(town: Path, monkeypatch, given, word: str) -> None:
+    """When environments are made or at their first reset."""
+    monkeypatch.chdir(town)
+    warn_once.cache_clear()
+    with pytest.warns(UserWarning, match=word):
+        envs = [SumoDrivingEnv(**one) for one in given]
+        for env in envs:
+            env.reset(seed=0)
+    for env in envs:
+        env.close()

@@ -13,6 +13,7 @@ import pytest
 
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
+from tests.processes import python
 from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.test_oracle import differences, driven
@@ -290,6 +291,30 @@ def test_a_train_on_rails_alone(tmp_path: Path) -> None:
         pytest.raises(SimulatorError, match=r"ego.*rail.*no lane for cars"),
     ):
         env.reset(seed=0)
+
+
+ODD = """
+import os, sys
+os.chdir(sys.argv[1])
+os.rmdir(sys.argv[1])
+from sumo_env.env import SumoDrivingEnv
+for _ in range(2):  # the second one is in a worker
+    env = SumoDrivingEnv(os.fsdecode(sys.argv[2].encode("utf-8", "surrogateescape")), ego_vehicle="ego")
+    env.reset(seed=7)
+    print(env.step(1)[0].ravel()[:5])
+"""
+
+
+def test_odd_places(net: Path, tmp_path: Path) -> None:
+    """A deleted working folder, the locale C, temporary files in a folder with a variable in its name, -W error."""
+    gone, temporary, files = (tmp_path / name for name in ("gone", "${HOME}, ü", "größe"))
+    for folder in (gone, temporary, files):
+        folder.mkdir()
+    config = written(files, net, says(net="grün.net.xml")(""), {"n": "grün.net.xml"}, {})
+    odd = {"LC_ALL": "C", "PYTHONUTF8": "0", "TMPDIR": str(temporary)}
+    words = python("-W", "error::UserWarning", "-c", ODD, str(gone), str(config), **odd).splitlines()
+    assert len(words) == 2 and words[0] == words[1]
+    assert list(temporary.iterdir()) == []
 
 
 def test_arguments_of_any_name(

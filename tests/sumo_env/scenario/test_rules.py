@@ -252,3 +252,13 @@ def test_a_vehicle_of_the_files_arrives_where_they_say(tmp_path: Path, place: st
     assert infos[-1]["ending"] == "arrived"
     assert sum(info["distance"] for info in infos) == pytest.approx(length, abs=5.0)
     env.close()
+
+
+def test_who_stands_until_sumo_takes_it_off_the_last_edge_has_not_arrived(tmp_path: Path) -> None:
+    net = build(tmp_path, ("a 0 0, b 3000 0", "ab a b 1 20"))
+    stops = {"type": "DiscreteMetaAction", "target_speeds": [0.0, 5.0, 20.0]}
+    config = {**QUIET, "duration": 60, "action": stops}
+    env = SumoDrivingEnv(net, [], ["ab"], config, sumo_options=["--time-to-teleport=10"])
+    *_, (_, reward, *_, info) = drive(env, SLOWER, seed=0)
+    assert (info["ending"], info["arrived"]) == ("removed", False) and reward < 0.01
+    env.close()

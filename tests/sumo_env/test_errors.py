@@ -10,7 +10,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from sumo_env.sumo.options import check_copyable
 
 import sumo_env
 from experiments.backends import make_env
@@ -22,6 +21,7 @@ from sumo_env.envs import HighwayEnv
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand, SimulatorError
+from sumo_env.sumo.user_options import check_copyable
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
 from sumo_env.traffic.scenario import VehicleSpec

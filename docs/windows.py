@@ -1,4 +1,4 @@
-"""Draws docs/img/windows: both windows on the five tasks and on a network of one's own, on a display that nobody sees.
+"""Draws docs/img/windows: both windows on five tasks and on a network of one's own, on a display that nobody sees.
 
 python docs/windows.py          # needs Xvfb and a window manager (openbox), the extras [window] and [gui]
 """

@@ -1,4 +1,4 @@
-"""highway-env's five driving tasks on the traffic simulator SUMO, as gymnasium environments.
+"""Driving tasks of highway-env on the traffic simulator SUMO, as gymnasium environments.
 
 ``import sumo_env`` registers ``sumo/highway-v0``, ``sumo/two-way-v0``, ``sumo/roundabout-v0``,
 ``sumo/intersection-v0`` and ``sumo/u-turn-v0``, and ``sumo/highway-fast-v0``, the highway with highway-env's defaults

@@ -10,6 +10,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from sumo_env.simulator import SimulatorError
+
 # Whether a process that has loaded SUMO can be forked. macOS has fork, but libraries of the system may fail after it.
 FORKS = sys.platform.startswith("linux")
 SIZE = 8  # bytes of a message's length
@@ -53,13 +55,22 @@ def interpreter() -> str:
     """A program that runs Python: that of this process, or where Python is embedded, the one beside its library.
 
     ``multiprocessing.set_executable`` chooses another one.
+
+    Raises:
+        SimulatorError: there is none.
     """
     from multiprocessing.spawn import get_executable  # late: a worker does not need it
 
     chosen = os.fsdecode(get_executable() or "")
     is_python = chosen != sys.executable or "python" in os.path.basename(chosen)
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
-    return chosen if is_python and chosen else os.path.join(sys.exec_prefix, "bin", version)
+    found = chosen if is_python and chosen else os.path.join(sys.exec_prefix, "bin", version)
+    if not os.access(found, os.X_OK):
+        raise SimulatorError(
+            f"a further environment needs a Python of its own, and there is none at {found!r}: call "
+            f"multiprocessing.set_executable with the path of {version}"
+        )
+    return found
 
 
 def send(link: socket.socket, pickled: bytes) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from sumo_env.networks.mapping import network
+from sumo_env.simulator import SimulatorError
 from sumo_env.sumo import pipe, process
 from tests.processes import ended, python, started
 
@@ -84,6 +85,9 @@ def test_a_program_is_found_beside_the_library(executable: Any, monkeypatch: pyt
     assert Path(pipe.interpreter()).resolve() == Path(known).resolve()
     monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/bin/sh")
     assert pipe.interpreter() == "/bin/sh"
+    monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/nowhere/python")
+    with pytest.raises(SimulatorError, match="set_executable"):
+        pipe.interpreter()
 
 
 SCRIPT = """

@@ -60,6 +60,8 @@ def test_ids_commands_and_files_exist(page: Path) -> None:
     for target in re.findall(r"(?:^    |`)make ([a-z-]+)", text, re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"make {target}"
 
+    for path in re.findall(r" (tests/[\w/]+\.py)", text):  # what a command runs
+        assert (ROOT / path).is_file(), path
     for path in re.findall(r"`((?:sumo_env|agents|experiments|networks|tests|docs)/[\w/.-]*)`", text):
         assert (ROOT / path).exists(), path
 

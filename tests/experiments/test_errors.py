@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from experiments import estimators, report, validate
+from experiments import estimators, report, validate, watch
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design import experiment
 from experiments.study.design.levels import choose_levels, choose_tasks
@@ -88,6 +88,7 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (swept(executor="slurm"), "--executor slurm is for machines"),
     # results and what is made of them
     (lambda: load(Path("nowhere")), "no results"),
+    (lambda: watch.watch(watch.Options(Path("nowhere"), scenario=-1)), "counts from 0"),
     (empty, "no finished cell"),
     *((partial(report.own_outcome, name), word) for name, word in [
         ("outcomes.py:nothing", "function `of`"), ("outcomes.py:nobody", "defines no"), ("outcomes.py", "FILE:NAME"),

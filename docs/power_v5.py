@@ -18,9 +18,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments.analysis import estimate
 from experiments.analysis.effects import contrasts, means
 from experiments.analysis.plan import ALPHA, STUDY
-from experiments.analysis.scores import SETTING, arms_of
+from experiments.analysis.scores import arms_of
 from experiments.study.design.traffic import TRAFFICS
-from experiments.study.results.store import EPISODES, Store
+from experiments.study.results.loaded import SETTING
+from experiments.study.results.schema import EPISODES
+from experiments.study.results.store import Store
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 SCENARIOS = 400

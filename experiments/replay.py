@@ -42,7 +42,8 @@ from experiments.study.compute.cell_task import MakeEnv
 from experiments.study.design.cell import tested_on
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, ending, play_again
-from experiments.study.results.store import EPISODES, Store, find_cell
+from experiments.study.results.schema import EPISODES
+from experiments.study.results.store import Store, find_cell
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, unknown
 from experiments.support.films import Film, Pictures, check_film, save_gif, side_by_side

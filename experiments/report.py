@@ -36,7 +36,8 @@ from experiments.analysis.effects import WORKING_COLUMNS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.reporting.page import page, render
 from experiments.study.compute.evaluate import COLUMNS
-from experiments.study.results.store import Store, load
+from experiments.study.results.loaded import load
+from experiments.study.results.store import Store
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, in_words, writing
 from experiments.support.files import write_file

@@ -32,7 +32,8 @@ from experiments.study.design.arms import ARMS
 from experiments.study.design.cell import tested_on
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.rerun import Case, ending, play_again
-from experiments.study.results.store import EPISODES, Store
+from experiments.study.results.schema import EPISODES
+from experiments.study.results.store import Store
 from experiments.support.arguments import command
 from experiments.support.errors import UserError
 from experiments.support.films import Film, check_film, save_film, side_by_side

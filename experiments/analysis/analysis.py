@@ -17,17 +17,17 @@ from experiments.analysis import pairs
 from experiments.analysis import plan as plans
 from experiments.analysis.by_task import OWN, by_task
 from experiments.analysis.claims import claims, price, primary
-from experiments.analysis.comparable import comparable, incomplete, is_main, leave_out, unfinished
+from experiments.analysis.comparable import comparable, incomplete, leave_out, main_cells, unfinished
 from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.influence import influence
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
-from experiments.analysis.scores import SETTING, arms_of, in_order, with_outcomes
+from experiments.analysis.scores import arms_of, at_home, in_order, with_outcomes
 from experiments.study.design.arms import ARMS, EXTRA_ARMS, PAIRS
 from experiments.study.design.cell import LEARNER
-from experiments.study.results.store import Results
+from experiments.study.results.loaded import SETTING, Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 
@@ -39,7 +39,6 @@ FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "trea
 FURTHER_COMPARISONS = [*FURTHER, *((arm, "careful") for arm in ARMS)]
 SHOWN = [(outcome, term) for outcome in ("crashed", "return", "mean_speed") for term in ONE_TRAFFIC]
 DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress", "crash_closing_speed")
-AGENT = [*SETTING, "arm", "seed"]
 LEAST = 4  # control agents of a setting that can be dealt into two arms
 
 
@@ -83,8 +82,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         UserError: by a plan that counts complete settings alone, there is none yet.
     """
     chosen, left_out = comparable(results)
-    main = [cell["key"] for cell in chosen.cells.values() if is_main(cell)]
-    plan = plans.plan_of(str(key["profile"].get("preset")) for key in main)
+    plan = plans.plan_of(main_cells(chosen.table)["preset"])
     early = unfinished(results, chosen) if plan.version > 2 else {}
     known = leave_out(chosen, settings=early)
     if early and not known.cells:
@@ -94,7 +92,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     episodes = with_outcomes(known, {**OWN, **outcomes})
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
-    stage, counted = plans.reached(plan, agents)
+    stage, counted = plans.reached(plan, own_agents(known.table))
 
     arms = arms_of(agents, outcomes)
     asked = contrasts(arms, {BOTH: [*product(outcomes, TERMS)]})
@@ -142,9 +140,9 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     )
 
 
-def own_agents(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The test episodes of trained agents on the simulator of their training."""
-    return episodes[episodes["kind"] == "agent"]
+def own_agents(rows: pd.DataFrame) -> pd.DataFrame:
+    """Those of trained agents, among cells or among test episodes: on the simulator of their training."""
+    return rows[rows["kind"] == "agent"]
 
 
 def careful(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -186,7 +184,7 @@ def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.D
         (share), density (other vehicles within 200 m), stopped (share of the steps) and progress (m per second that the
         episode was to last); "<outcome> se" over those units, NaN with one of them.
     """
-    rows = episodes[episodes["tested_on"] == episodes["backend"]]
+    rows = at_home(episodes)
     arms = rows["arm"].where(rows["kind"] != "baseline", "").fillna("").astype(str)
     rows = rows.assign(arm=arms, unit=rows["seed"].where(arms != "", rows["scenario"]))
     columns = [*outcomes, *DESCRIPTIVE]

@@ -11,8 +11,9 @@ import pandas as pd
 from experiments.analysis.effects import COMPARISON, ESTIMATE, MEANS, contrasts, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Outcome, Plan
-from experiments.analysis.scores import SETTING, arms_of
+from experiments.analysis.scores import arms_of
 from experiments.study.design.arms import ARMS
+from experiments.study.results.loaded import AGENT
 
 HARD = 10.0  # closing speed from which a crash is hard [m/s]
 
@@ -57,7 +58,7 @@ def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     """
     rows = episodes[episodes["arm"].isin(ARMS)]
     agents = rows[rows["kind"] == "agent"]
-    tests = rows[rows["kind"] == "test"].merge(agents[[*SETTING, "arm", "seed"]].drop_duplicates())
+    tests = rows[rows["kind"] == "test"].merge(agents[AGENT].drop_duplicates())
     found = []
     for simulator, here in pd.concat([agents, tests]).groupby("tested_on", sort=False):
         effects = pd.concat([_effects(own, str(name)) for name, own in here.groupby("traffic", sort=False)])

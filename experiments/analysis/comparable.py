@@ -7,15 +7,15 @@ task and traffic level, and each arm and kind of test there, one group is analys
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Container, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import pandas as pd
+
 from agents.rules import POLICIES
-from experiments.analysis.scores import SETTING
 from experiments.study.design.arms import ARMS
-from experiments.study.design.cell import setting
-from experiments.study.results.store import Results
+from experiments.study.results.loaded import SETTING, Results
 from experiments.support.files import canonical_json
 
 Cell = Mapping[str, Any]
@@ -32,30 +32,26 @@ def comparable(results: Results) -> tuple[Results, dict[str, str]]:
     what fits, each arm, policy and kind of test has a latest group of its own (`_latest`).
     """
     left_out: dict[str, str] = {}
-    places: dict[tuple[Any, ...], dict[str, Cell]] = {}
-    for name, cell in results.cells.items():
-        places.setdefault(tuple(cell["key"][column] for column in SETTING), {})[name] = cell
-    for cells in places.values():
-        left_out |= _of_other_groups(cells, results.expected)
+    for _, cells in results.table.groupby(SETTING, sort=False):
+        left_out |= _of_other_groups(cells, results)
     return leave_out(results, left_out), left_out
 
 
-def is_main(cell: Cell) -> bool:
-    """Whether a cell is of the comparison that the plan is about: an agent of one of both arms, or a baseline."""
-    kind = cell["key"]["kind"]
-    return kind == "baseline" or (kind == "agent" and cell["key"]["arm"] in ARMS)
+def main_cells(table: pd.DataFrame) -> pd.DataFrame:
+    """The cells of the comparison that the plan is about: agents of both arms, and baselines."""
+    return table[(table["kind"] == "baseline") | (table["kind"] == "agent") & table["arm"].isin(ARMS)]
 
 
-def _of_other_groups(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, str]:
+def _of_other_groups(cells: pd.DataFrame, results: Results) -> dict[str, str]:
     """The cells of a task and level that belong to another group, with the reason."""
-    groups = {name: group(cell) for name, cell in cells.items()}
-    main = [name for name, cell in cells.items() if is_main(cell)]
-    agents = [name for name in main if cells[name]["key"]["kind"] == "agent"]
-    if not main:
-        return dict.fromkeys(cells, ALONE)
-    reference, found = _latest(agents or main, groups, expected), {}
+    groups = {name: group(results.cells[name]) for name in cells["cell"]}
+    main = main_cells(cells)
+    if main.empty:
+        return dict.fromkeys(groups, ALONE)
+    agents = list(main.loc[main["kind"] == "agent", "cell"])
+    reference, found = _latest(agents or list(main["cell"]), groups, results.expected), {}
     for name, own in groups.items():
-        if name in main:
+        if name in main.index:
             shared = {*own, *reference}
             if name not in agents:  # packages of the learner alone are nothing to a baseline
                 shared -= {n for n in reference if n.startswith("version of ") and n not in own}
@@ -63,19 +59,11 @@ def _of_other_groups(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict
             found[name] = _differing(own, reference, shared)
         elif not agents or not reference.items() <= own.items():
             found[name] = ALONE
-    places: dict[tuple[Any, ...], list[str]] = {}
-    for name in (name for name in cells if not found.get(name)):
-        places.setdefault(_place(cells[name]["key"]), []).append(name)
-    for names in places.values():
-        best = _latest(names, groups, expected)
-        found |= {name: _differing(groups[name], best, {*groups[name], *best}) for name in names}
+    fitting = cells[[not found.get(name) for name in cells["cell"]]]
+    for _, alike in fitting.groupby(["who", "tested_on", "traffics"], sort=False)["cell"]:
+        best = _latest(list(alike), groups, results.expected)
+        found |= {name: _differing(groups[name], best, {*groups[name], *best}) for name in alike}
     return {name: reason for name, reason in found.items() if reason}
-
-
-def _place(key: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What a cell is there for at its task and level, whatever its group: an arm or a policy, and a kind of test."""
-    test = key.get("test_on") or {}
-    return key["arm"] or key["policy"], test.get("backend"), *sorted(test.get("traffics", ()))
 
 
 def _latest(
@@ -137,35 +125,27 @@ def unfinished(results: Results, chosen: Results) -> dict[str, str]:
 
 def incomplete(results: Results) -> dict[str, str]:
     """What a comparison lacks, by setting as in `cell.setting`: agents of both arms with the same seeds, baselines."""
-    found: dict[str, dict[str, list[Any]]] = {}
-    for cell in results.cells.values():
-        key = cell["key"]
-        if is_main(cell):
-            here = found.setdefault(setting(key), {})
-            here.setdefault(key["arm"] or key["policy"], []).append(key["seed"])
     reasons = {}
-    for name, here in found.items():
-        absent = [policy for policy in (*ARMS, *POLICIES) if policy not in here]
-        seeds = [sorted(here.get(arm, ())) for arm in ARMS]
+    for name, here in main_cells(results.table).groupby("setting", sort=False):
+        absent = [who for who in (*ARMS, *POLICIES) if who not in set(here["who"])]
+        seeds = [sorted(here.loc[here["who"] == arm, "seed"]) for arm in ARMS]
         said = [f"nothing of {', '.join(absent)}"] if absent else []
         if seeds[0] != seeds[1]:
             said.append("the arms have other seeds")
         elif len(seeds[0]) == 1:
             said.append("one agent in an arm, so that there is no interval")
         if said:
-            reasons[name] = "; ".join(said)
+            reasons[str(name)] = "; ".join(said)
     return reasons
 
 
-def leave_out(results: Results, gone: Container[str] = (), settings: Container[str] = ()) -> Results:
+def leave_out(results: Results, gone: Collection[str] = (), settings: Collection[str] = ()) -> Results:
     """The results without some cells, and without the agents of some settings, named as in `cell.setting`."""
-    stay = {
-        name: cell
-        for name, cell in results.cells.items()
-        if name not in gone and (cell["key"]["kind"] == "baseline" or setting(cell["key"]) not in settings)
-    }
+    table = results.table
+    stays = table["kind"].eq("baseline") | ~table["setting"].isin(list(settings))
+    stay = {name: results.cells[name] for name in table.loc[stays, "cell"] if name not in gone}
     episodes, gates = (
-        table[table["cell"].isin(stay)].reset_index(drop=True)
-        for table in (results.episodes, results.gate_episodes)
+        rows[rows["cell"].isin(stay)].reset_index(drop=True)
+        for rows in (results.episodes, results.gate_episodes)
     )
     return replace(results, cells=stay, episodes=episodes, gate_episodes=gates)

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
-from experiments.analysis.scores import SETTING, Arms, Setting
+from experiments.analysis.scores import Arms, Setting
 from experiments.study.design.arms import EVERY_ARM, PAIRS
 from experiments.study.design.traffic import TRAFFICS
+from experiments.study.results.loaded import SETTING
 
 ALL_TASKS = "all tasks"
 ESTIMATE = list(Estimate._fields)

@@ -7,7 +7,8 @@ import pandas as pd
 
 from agents.rules import CAUTIONS, POLICIES
 from experiments.analysis.estimate import mean_of_units, with_intervals
-from experiments.analysis.scores import SETTING
+from experiments.analysis.scores import at_home
+from experiments.study.results.loaded import SETTING
 
 RULES = {*POLICIES, *CAUTIONS} - {"idm", "random"}  # the careful driver and the constant policies
 COLUMNS = [*SETTING, "arm", "traffic", "agents", "inside", "estimate", "low", "high"]
@@ -37,7 +38,7 @@ def to_frontier(episodes: pd.DataFrame) -> pd.DataFrame:
         A row a SETTING, arm and traffic: agents, how many of them have a distance (inside), and their mean crash rate
         above the frontier with its 95 % interval over agents. Exploratory.
     """
-    rows = episodes[episodes["tested_on"] == episodes["backend"]]
+    rows = at_home(episodes)
     rows = rows.assign(arm=rows["arm"].fillna("").astype(str))
     drivers = rows.groupby([*SETTING, "traffic", "kind", "policy", "arm", "cell"], sort=False)
     drivers = drivers[["progress", "crashed"]].mean().reset_index()

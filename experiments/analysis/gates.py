@@ -20,9 +20,10 @@ from scipy import stats
 
 from experiments.analysis.estimate import DEGENERATE, OK, Estimate, combine, equal_task_weights, mean_of_units
 from experiments.analysis.plan import ALPHA, Learner, Plan
-from experiments.analysis.scores import SETTING, in_order
+from experiments.analysis.scores import in_order
 from experiments.study.design.arms import ARMS, gate_traffics
 from experiments.study.design.sheet import GRID, SHEETS
+from experiments.study.results.loaded import AGENT, SETTING, table_of
 
 Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before an agent counts as diverged
 CLIPPED = 0.01  # share of the goals in the last quarter of a training from which its values are held by the clip alone
@@ -129,7 +130,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
     """The verdict on every trained agent.
 
     Args:
-        cells: cell.json by name. episodes: the gate episodes of all of them, as in `store.Results`.
+        cells: cell.json by name. episodes: the gate episodes of all of them, as in `loaded.Results`.
 
     Returns:
         A row an agent: cell, SETTING, arm, seed, passed (False if any gate fails, None if one could not be checked,
@@ -137,7 +138,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
     """
     judged = episodes.set_index(["traffic", "scenario"]).filter(regex="^(cell|return|distance|action_.+)$")
     tables = dict(list(judged.sort_index().groupby("cell", sort=False)))
-    keys = pd.DataFrame([cells[name]["key"] for name in tables], index=[*tables], dtype=object)
+    keys = table_of({name: cells[name] for name in tables})
     references, rows = keys[keys["kind"] != "agent"], []
     for (*setting, arm), alike in keys[keys["kind"] == "agent"].groupby([*SETTING, "arm"], sort=False):
         traffics = list(gate_traffics(arm))  # of their training
@@ -166,7 +167,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
             ]
             sound = False if failed else None if None in asked else True
             rows.append([name, *setting, arm, seed, sound, failed, *found])
-    frame = pd.DataFrame(rows, columns=["cell", *SETTING, "arm", "seed", "passed", "failed", *GATES])
+    frame = pd.DataFrame(rows, columns=["cell", *AGENT, "passed", "failed", *GATES])
     return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
 
 

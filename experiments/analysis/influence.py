@@ -11,8 +11,9 @@ from experiments.analysis import pairs
 from experiments.analysis.claims import price
 from experiments.analysis.effects import ALL_TASKS, contrasts
 from experiments.analysis.plan import Plan
-from experiments.analysis.scores import SETTING, arms_of
+from experiments.analysis.scores import arms_of
 from experiments.study.design.arms import PAIRS
+from experiments.study.results.loaded import SETTING
 
 LEFT = ("task", "level_name", "seed")
 

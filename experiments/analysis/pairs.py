@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import pandas as pd
 
-from experiments.analysis.scores import SETTING, once_each
+from experiments.analysis.scores import at_home, once_each
 from experiments.study.design.arms import ARMS, PAIRS, REGISTERED
 from experiments.study.design.traffic import TRAFFICS
+from experiments.study.results.loaded import SETTING
 
 # What is compared, as (pair, against).
 COMPARED = [
@@ -25,7 +26,7 @@ def units(episodes: pd.DataFrame) -> pd.DataFrame:
     Args:
         episodes: as from `scores.with_outcomes`.
     """
-    rows = episodes[episodes["traffic"].isin(TRAFFICS) & (episodes["tested_on"] == episodes["backend"])]
+    rows = at_home(episodes[episodes["traffic"].isin(TRAFFICS)])
     tests = rows[(rows["kind"] == "test") & rows["arm"].isin(list(PAIRS))]
     agents = rows[(rows["kind"] == "agent") & rows["arm"].isin(ARMS)]
     agents = agents.merge(tests[[*SETTING, "seed"]].drop_duplicates())

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
-from experiments.study.results.store import Results
+from experiments.study.results.loaded import AGENT, SETTING, Results
 from sumo_env.tasks import TASKS
 
-SETTING = ["backend", "task", "level", "level_name"]  # columns; every comparison is made within a setting
 TASK_ORDER = {task: number for number, task in enumerate(TASKS)}
 
 
@@ -29,8 +28,8 @@ def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
 def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) -> pd.DataFrame:
     """The test episodes with all outcomes as columns: those of the plan and the user's own.
 
-    Columns more than in `results.episodes`: the names of the outcomes; tested_on (the simulator of the test); seconds
-    that the episode was to last, and progress: metres per second of them.
+    Columns more than in `results.episodes`: the names of the outcomes; seconds that the episode was to last, and
+    progress: metres per second of them.
     """
     episodes = results.episodes
 
@@ -43,7 +42,6 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
     own = {name: outcome.of for name, outcome in outcomes.items() if outcome.of is not None}
     return episodes.assign(
         **own,
-        tested_on=of_cell(lambda key: key.get("test_on", {}).get("backend", key["backend"])),
         seconds=seconds.astype(float),
         progress=episodes["distance"] / seconds,
         crashed=crashed,
@@ -65,9 +63,14 @@ def crashes_per_100_km(episodes: pd.DataFrame, by: Sequence[str]) -> pd.Series:
     return per_metre.where(way > 0, 0.0) * 1e5
 
 
+def at_home(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The episodes of tests on the simulator of the training."""
+    return episodes[episodes["tested_on"] == episodes["backend"]]
+
+
 def once_each(episodes: pd.DataFrame) -> pd.DataFrame:
     """The episodes; ValueError where an agent has one twice, so that cells of two versions would be averaged."""
-    twice = episodes[episodes.duplicated([*SETTING, "arm", "traffic", "seed", "scenario"])]
+    twice = episodes[episodes.duplicated([*AGENT, "traffic", "scenario"])]
     for row in twice.head(1).to_dict("records"):
         raise ValueError(
             f"{len(twice)} episodes are there twice, the first one of {row['arm']} {row['seed']} in {row['task']} "

@@ -28,7 +28,8 @@ from experiments.study.design.arms import ARMS, DOSE_ARMS, REGISTERED
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import verdicts
-from experiments.study.results.store import Results, Store
+from experiments.study.results.loaded import Results
+from experiments.study.results.store import Store
 from experiments.support.files import opened
 from sumo_env.not_here import DOCUMENTATION
 

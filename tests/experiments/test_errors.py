@@ -13,7 +13,8 @@ from experiments import estimators, report, validate, watch
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design import experiment
 from experiments.study.design.levels import choose_levels, choose_tasks
-from experiments.study.results.store import Store, load
+from experiments.study.results.loaded import load
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 from experiments.support.films import check_film
 from experiments.sweep import Options, sweep

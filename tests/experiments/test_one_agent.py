@@ -21,6 +21,7 @@ from experiments.study.compute.entrants import entrants
 from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
+from experiments.study.results.schema import EPISODES
 from experiments.support.errors import UserError
 
 pytestmark = pytest.mark.slow
@@ -108,7 +109,7 @@ def test_an_agent_can_be_published_and_loaded(tmp_path: Path) -> None:
     for task, setting in settings.items():
         card = agents.card(setting, "control", file)
         assert card["time_observed"] == (13 if task == "u-turn" else 0)  # as long as its training
-        tested = store.Store(tmp_path).tables(card["cell"])[store.EPISODES]
+        tested = store.Store(tmp_path).tables(card["cell"])[EPISODES]
         regular = tested[tested["traffic"] == "regular"]
         value, low, high = card["regular"]["crash_rate"]
         assert value == pytest.approx(regular["crashed"].mean())

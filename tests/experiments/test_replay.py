@@ -13,6 +13,7 @@ from experiments.replay import Options, parse_case, replay
 from experiments.study.design.cell import tested_on as environment_of
 from experiments.study.replaying.rerun import Case, differences, play_again
 from experiments.study.results import store
+from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import find_cell
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
@@ -32,7 +33,7 @@ def cells(tmp_path_factory):
 
 
 def episodes(cell):
-    return store.Store(cell.parents[1]).tables(cell.name)[store.EPISODES]
+    return store.Store(cell.parents[1]).tables(cell.name)[EPISODES]
 
 
 def first(cells, crashed):

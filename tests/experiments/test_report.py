@@ -18,7 +18,7 @@ from experiments.analysis.effects import ESTIMATE, MEANS, WORKING_COLUMNS, means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting.by_task import both_arms
 from experiments.reporting.tables import difference, main
-from experiments.study.results.store import load
+from experiments.study.results.loaded import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
 

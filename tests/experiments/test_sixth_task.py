@@ -8,7 +8,7 @@ import pytest
 
 from experiments import report
 from experiments.study.design.sheet import GRID, SHEETS
-from experiments.study.results.store import load
+from experiments.study.results.loaded import load
 from experiments.sweep import Options, UserError, sweep
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.u_turn import UTurn

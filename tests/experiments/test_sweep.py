@@ -22,7 +22,7 @@ from experiments.replay import replay
 from experiments.study.compute.run import Attempt, attempt
 from experiments.study.design.arms import TEST
 from experiments.study.design.experiment import shard
-from experiments.study.results.store import load
+from experiments.study.results.loaded import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of

@@ -21,7 +21,8 @@ from experiments.study.compute.evaluate import driving
 from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.cell import LEARNER, tested_on
-from experiments.study.results.store import EPISODES, Store
+from experiments.study.results.schema import EPISODES
+from experiments.study.results.store import Store
 from experiments.support.errors import run_command
 from sumo_env.tasks import TASKS
 

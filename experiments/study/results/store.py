@@ -1,4 +1,4 @@
-"""Finished cells on disk: written whole or not at all, checked when read, never computed twice; all of them as tables.
+"""Finished cells on disk: written whole or not at all, checked when read, never computed twice.
 
 DIR/cells/CELL.parquet     a finished cell: its test episodes and its record (see `parquet`)
 DIR/parts/PART.parquet     the cells of one arm of a setting in one such file, which is written once (`Store.pack`)
@@ -7,7 +7,7 @@ DIR/work/CELL/             a cell in progress or given up: lock, log of what wen
 DIR/damaged/               what was put aside because it was damaged
 DIR/sweep.json             what sweeps have asked for
 
-Folders of earlier versions are read as well (`frozen`). `Store` has one cell after the other, `load` all as `Results`.
+Folders of earlier versions are read as well (`frozen`). `Store` has one cell after the other, `loaded.load` all.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -29,9 +28,6 @@ from experiments.study.design.cell import RESULT_SCHEMA, Cell, setting
 from experiments.study.results import frozen, parquet
 from experiments.study.results.parquet import DamagedCell, DamagedPart, asked_of
 from experiments.study.results.schema import (
-    COLUMNS,
-    EPISODES,
-    GATES,
     PURPOSES,
     TRAINING,
     WEIGHTS,
@@ -308,85 +304,3 @@ def find_cell(word: str, names: Sequence[str]) -> str:
         return fitting[0]
     hint = did_you_mean(word, fitting or names) or "write more of its name"
     raise UserError(f"{len(fitting)} of {len(names)} cells begin with {word!r}, not one: {hint}")
-
-
-# Columns of the key that every table of `Results` carries.
-KEY_COLUMNS = ("cell", "kind", "backend", "task", "level", "level_name", "arm", "seed", "policy", "preset")
-
-
-@dataclass(frozen=True)
-class Results:
-    """All finished cells of a directory as tidy tables.
-
-    episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
-    gate_episodes: the same of the scenarios that the gates are judged on.
-    cells: the record of each cell by name. failed: what went wrong in those of `expected` that are not finished.
-    expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).
-    damaged: why cells cannot be read, by name.
-    """
-
-    directory: Path
-    episodes: pd.DataFrame
-    gate_episodes: pd.DataFrame
-    cells: dict[str, dict[str, Any]]
-    failed: dict[str, str] = field(default_factory=dict)
-    expected: tuple[str, ...] = ()
-    damaged: dict[str, str] = field(default_factory=dict)
-
-
-def load(directory: Path) -> Results:
-    """Read and check all finished cells of a directory; damaged ones are named in `Results.damaged`.
-
-    Raises:
-        UserError: no result directory, no finished cell in it that can be read, a damaged part, or a frozen study.
-    """
-    store = Store(Path(directory))
-    store.check()
-    if (store.directory / frozen.CELLS).exists():
-        raise UserError(
-            f"{directory} is of an earlier version: results/FROZEN.md names the commit of its report"
-        )
-    cells: dict[str, dict[str, Any]] = {}
-    found: dict[str, dict[str, pd.DataFrame]] = {}
-    damaged: dict[str, str] = {}
-    for name in store.finished():
-        try:
-            cells[name], found[name] = store.record(name), store.tables(name)
-        except DamagedCell as error:
-            damaged[name] = str(error)
-    expected = tuple(name for sweep in store.sweeps() for name in sweep["cells"])
-    if not cells:
-        reason = f"{directory} holds no finished cell yet: run the sweep first"
-        raise UserError(next(iter(damaged.values()), reason))
-    keys = pd.DataFrame(
-        [
-            {**record["key"], "cell": name, "preset": record["key"]["profile"].get("preset")}
-            for name, record in cells.items()
-        ],
-        columns=list(KEY_COLUMNS),
-    )
-    # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
-    keys = keys.astype({"arm": "str", "seed": "Int64"}).set_index("cell", drop=False)
-    episodes, gates = (
-        _concatenate({name: own[file] for name, own in found.items() if file in own}, keys)
-        for file in (EPISODES, GATES)
-    )
-    return Results(
-        directory=store.directory,
-        episodes=episodes,
-        gate_episodes=gates,
-        cells=cells,
-        # a cell that failed, and that no sweep asks for any more, says nothing of this study
-        failed={name: why for name, why in store.failures().items() if name in expected},
-        expected=expected,
-        damaged=damaged,
-    )
-
-
-def _concatenate(tables: Mapping[str, pd.DataFrame], keys: pd.DataFrame) -> pd.DataFrame:
-    """All rows of the tables of these cells, behind KEY_COLUMNS."""
-    if not tables:
-        return keys.iloc[:0].reset_index(drop=True)
-    cells = [name for name, table in tables.items() for _ in range(len(table))]
-    rows = pd.concat(tables.values(), ignore_index=True)[list(COLUMNS)]
-    return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)

@@ -8,7 +8,7 @@ import pytest
 
 from experiments.analysis import plan
 from experiments.analysis.analysis import Analysis, analyse
-from experiments.study.results.store import Results, load
+from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.plans import PLANS
 

@@ -13,7 +13,7 @@ from experiments.analysis.effects import adjusted, contrasts
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import Arm, Arms, Setting, arms_of, with_outcomes
 from experiments.study.design.sheet import GRID
-from experiments.study.results.store import Results
+from experiments.study.results.loaded import Results
 
 PAIR = ("treatment", "control")
 

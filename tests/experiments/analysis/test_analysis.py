@@ -18,7 +18,7 @@ from experiments.analysis.estimate import Estimate, equivalence, interval, linea
 from experiments.analysis.gates import THRESHOLDS
 from experiments.analysis.plan import OUTCOMES, STUDY, Outcome, as_data
 from experiments.study.design.sheet import SHEETS
-from experiments.study.results.store import Results, load
+from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, arms_in, effects, find
 

@@ -14,7 +14,7 @@ from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT
 from experiments.analysis.scores import arms_of, with_outcomes
 from experiments.study.design.sheet import GRID
-from experiments.study.results.store import Results, load
+from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR
 

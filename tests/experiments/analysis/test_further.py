@@ -14,7 +14,7 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.claims import price
 from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means
 from experiments.analysis.plan import DEFAULT, Bound
-from experiments.study.results.store import Results, load
+from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, find
 

@@ -23,7 +23,15 @@ SETTING = {"backend": "sumo", "level": 1, "level_name": "1"}
 
 def cell(policy: str, task: str, arm: str | None = None, largest: float | None = 10.0) -> dict[str, Any]:
     kind = "agent" if arm else "baseline"
-    key = {**SETTING, "task": task, "kind": kind, "policy": policy, "arm": arm, "seed": 0 if arm else None}
+    key = {
+        **SETTING,
+        "task": task,
+        "kind": kind,
+        "policy": policy,
+        "arm": arm,
+        "seed": 0 if arm else None,
+        "profile": {},
+    }
     return {"key": key, "learner": {"probe_q": [[100, 1.0, largest]], "q_bound": 20.0} if arm else None}
 
 

@@ -24,7 +24,7 @@ from experiments.analysis.scores import arms_of
 from experiments.reporting import tables
 from experiments.study.design.arms import ARMS, PAIRS
 from experiments.study.design.sheet import GRID
-from experiments.study.results.store import load
+from experiments.study.results.loaded import load
 from tests.experiments import synthetic
 
 SEEDS, SCENARIOS = 5, 60

@@ -18,7 +18,7 @@ from experiments.analysis.plan import DEFAULT, ENDS, STUDY, Learner, plan_of, re
 from experiments.analysis.scores import Arms, Setting
 from experiments.reporting import by_task
 from experiments.study.design.sheet import GRID
-from experiments.study.results.store import load
+from experiments.study.results.loaded import load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR
 

@@ -31,7 +31,8 @@ from experiments.study.compute.run import locked, log, watched
 from experiments.study.design.cell import learner_of
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results import frozen
-from experiments.study.results.store import DamagedCell, Store, load
+from experiments.study.results.loaded import load
+from experiments.study.results.store import DamagedCell, Store
 from experiments.study.results.working import LOCK, LOG, PROGRESS, fraction_done
 from experiments.support.errors import UserError, run_command
 from experiments.support.files import alone, made

@@ -13,7 +13,8 @@ import pandas as pd
 import pytest
 
 from experiments.study.results import parquet, store
-from experiments.study.results.store import Store, load
+from experiments.study.results.loaded import load
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
 from tests.experiments.computed import TINY, damage, sweep_of

@@ -15,7 +15,8 @@ from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.cell import Cell, cell_name
 from experiments.study.design.options import Asked
-from experiments.study.results.store import EPISODES, Store
+from experiments.study.results.schema import EPISODES
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
 

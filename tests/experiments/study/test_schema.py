@@ -17,8 +17,9 @@ import pytest
 from agents.schema import Wrong, check, parsed
 from experiments.study.design.cell import cell_name
 from experiments.study.results import parquet
+from experiments.study.results.loaded import load
 from experiments.study.results.schema import SCHEMA, as_table
-from experiments.study.results.store import Store, load
+from experiments.study.results.store import Store
 
 
 def rewritten(

@@ -16,7 +16,8 @@ from agents.schema import Wrong
 from experiments.study.compute.run import attempt
 from experiments.study.design.cell import Cell
 from experiments.study.results import store
-from experiments.study.results.store import load
+from experiments.study.results.loaded import load
+from experiments.study.results.schema import EPISODES
 from experiments.support.errors import UserError
 from tests.experiments.computed import damage, tasks_of
 
@@ -31,8 +32,8 @@ def test_writing_twice_keeps_the_first(results, cells):
     path = results / "cells" / f"{cells[-1].name}.parquet"
     before = path.read_bytes()
     tables = home.tables(cells[-1].name)
-    other = tables[store.EPISODES].assign(distance=0.0)
-    home.write(cells[-1], {"timing": {}}, {**tables, store.EPISODES: other})
+    other = tables[EPISODES].assign(distance=0.0)
+    home.write(cells[-1], {"timing": {}}, {**tables, EPISODES: other})
     assert path.read_bytes() == before
     assert not list(home.work.glob("*/*"))
 
@@ -41,8 +42,8 @@ def test_writing_twice_keeps_the_first(results, cells):
     "change",
     [
         lambda cell, files: (replace(cell, eval={**cell.eval, "episodes": 4}), files),
-        lambda cell, files: (cell, {**files, store.EPISODES: files[store.EPISODES].assign(distance=np.nan)}),
-        lambda cell, files: (cell, {**files, store.EPISODES: files[store.EPISODES].drop(columns="return")}),
+        lambda cell, files: (cell, {**files, EPISODES: files[EPISODES].assign(distance=np.nan)}),
+        lambda cell, files: (cell, {**files, EPISODES: files[EPISODES].drop(columns="return")}),
     ],
 )
 def test_what_a_reader_would_refuse_is_not_stored(finished, tmp_path, cells, change):

@@ -1,0 +1,129 @@
+"""All finished cells of a directory: a table of the cells, which says what belongs together, and one of episodes.
+
+Whoever compares, judges or counts cells asks the table (`Results.table`), so that there is one answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from experiments.study.design.cell import setting
+from experiments.study.results import frozen
+from experiments.study.results.parquet import DamagedCell
+from experiments.study.results.schema import COLUMNS, EPISODES, GATES
+from experiments.study.results.store import Store
+from experiments.support.errors import UserError
+
+SETTING = ["backend", "task", "level", "level_name"]  # every comparison is made within a setting
+AGENT = [*SETTING, "arm", "seed"]  # one agent, or one pair of agents
+# What every episode carries of its cell.
+OF_CELL = ["cell", "kind", *AGENT, "policy", "preset", "tested_on"]
+
+
+def table_of(cells: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Which cells belong together.
+
+    Args:
+        cells: the record of each by name.
+
+    Returns:
+        A row a cell, by its name: OF_CELL, where tested_on is the simulator of its test, and arm and seed are missing
+        in baselines; setting (see `cell.setting`); who (its arm, or its policy); traffics, of its test, in one word.
+        Cells of a setting with the same who, tested_on and traffics are there for the same.
+    """
+    rows = [
+        {
+            **(key := record["key"]),
+            "cell": name,
+            "preset": key["profile"].get("preset"),
+            "tested_on": (key.get("test_on") or key)["backend"],
+            "setting": setting(key),
+            "who": key["arm"] or key["policy"],
+            "traffics": " ".join(sorted((key.get("test_on") or {}).get("traffics", ()))),
+        }
+        for name, record in cells.items()
+    ]
+    # Types that know missing values keep seeds whole numbers.
+    table = pd.DataFrame(rows, columns=[*OF_CELL, "setting", "who", "traffics"])
+    return table.astype({"arm": "str", "seed": "Int64"}).set_index("cell", drop=False)
+
+
+@dataclass(frozen=True)
+class Results:
+    """All finished cells of a directory as tidy tables.
+
+    episodes: one row a test episode: OF_CELL and the columns of `evaluate.COLUMNS`.
+    gate_episodes: the same of the scenarios that the gates are judged on.
+    cells: the record of each cell by name. failed: what went wrong in those of `expected` that are not finished.
+    expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).
+    damaged: why cells cannot be read, by name.
+    """
+
+    directory: Path
+    episodes: pd.DataFrame
+    gate_episodes: pd.DataFrame
+    cells: dict[str, dict[str, Any]]
+    failed: dict[str, str] = field(default_factory=dict)
+    expected: tuple[str, ...] = ()
+    damaged: dict[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """Which cells belong together, see `table_of`."""
+        return table_of(self.cells)
+
+
+def load(directory: Path) -> Results:
+    """Read and check all finished cells of a directory; damaged ones are named in `Results.damaged`.
+
+    Raises:
+        UserError: no result directory, no finished cell in it that can be read, a damaged part, or a frozen study.
+    """
+    store = Store(Path(directory))
+    store.check()
+    if (store.directory / frozen.CELLS).exists():
+        raise UserError(
+            f"{directory} is of an earlier version: results/FROZEN.md names the commit of its report"
+        )
+    cells: dict[str, dict[str, Any]] = {}
+    found: dict[str, dict[str, pd.DataFrame]] = {}
+    damaged: dict[str, str] = {}
+    for name in store.finished():
+        try:
+            cells[name], found[name] = store.record(name), store.tables(name)
+        except DamagedCell as error:
+            damaged[name] = str(error)
+    expected = tuple(name for sweep in store.sweeps() for name in sweep["cells"])
+    if not cells:
+        reason = f"{directory} holds no finished cell yet: run the sweep first"
+        raise UserError(next(iter(damaged.values()), reason))
+    keys = table_of(cells)[OF_CELL]
+    episodes, gates = (
+        _concatenate({name: own[file] for name, own in found.items() if file in own}, keys)
+        for file in (EPISODES, GATES)
+    )
+    return Results(
+        directory=store.directory,
+        episodes=episodes,
+        gate_episodes=gates,
+        cells=cells,
+        # a cell that failed, and that no sweep asks for any more, says nothing of this study
+        failed={name: why for name, why in store.failures().items() if name in expected},
+        expected=expected,
+        damaged=damaged,
+    )
+
+
+def _concatenate(tables: Mapping[str, pd.DataFrame], keys: pd.DataFrame) -> pd.DataFrame:
+    """All rows of the tables of these cells, behind OF_CELL."""
+    if not tables:
+        return keys.iloc[:0].reset_index(drop=True)
+    cells = [name for name, table in tables.items() for _ in range(len(table))]
+    rows = pd.concat(tables.values(), ignore_index=True)[list(COLUMNS)]
+    return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)

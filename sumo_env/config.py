@@ -86,9 +86,10 @@ GRAYSCALE: Config = {
     "scaling": None,  # [px/m]
     "centering_position": None,
 }
+LIDAR: Config = {"type": "LidarObservation", "cells": 16, "maximum_range": 60.0, "normalize": True}  # [m]
 LEADERS_FOLLOWERS: Config = {"type": "LeadersFollowers", "features": None, "normalize": True}
 TYPES: dict[str, tuple[Config, ...]] = {
-    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID, GRAYSCALE, LEADERS_FOLLOWERS),
+    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID, GRAYSCALE, LIDAR, LEADERS_FOLLOWERS),
     "action": ({**DISCRETE_META_ACTION, "target_speeds": None}, CONTINUOUS_ACTION, DISCRETE_ACTION),
 }
 # Largest values. More vehicles, metres or seconds take all memory or all time, and SUMO's clock counts milliseconds.

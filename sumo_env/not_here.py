@@ -55,7 +55,6 @@ REASONS: dict[str, str] = {
 }
 # Types of observation and action of highway-env that are not here.
 TYPES = {
-    "LidarObservation": "a gymnasium.ObservationWrapper can read the places of all vehicles from env.unwrapped.scene",
     **dict.fromkeys(
         ("MultiAgentObservation", "MultiAgentAction"),
         "gym.make and sumo_env.parallel_env make several learning cars",

@@ -41,6 +41,7 @@ THEIRS = {
     "Kinematics": "envs.common.observation:KinematicObservation",
     "TimeToCollision": "envs.common.observation:TimeToCollisionObservation",
     "OccupancyGrid": "envs.common.observation:OccupancyGridObservation",
+    "Lidar": "envs.common.observation:LidarObservation",
 }
 
 

@@ -18,13 +18,14 @@ from sumo_env.not_here import page
 from sumo_env.spaces.actions import ActionType, ContinuousAction, action_type
 from sumo_env.spaces.grayscale import Grayscale
 from sumo_env.spaces.leaders_followers import LeadersFollowers
+from sumo_env.spaces.lidar import Lidar
 from sumo_env.spaces.observation import Kinematics, TimeToCollision
 from sumo_env.spaces.occupancy import OccupancyGrid
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
 
-ObservationType = Kinematics | TimeToCollision | OccupancyGrid | Grayscale | LeadersFollowers
+ObservationType = Kinematics | TimeToCollision | OccupancyGrid | Grayscale | Lidar | LeadersFollowers
 
 
 class Interface(NamedTuple):
@@ -66,6 +67,8 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         observation = OccupancyGrid(given)
     elif given["type"] == "GrayscaleObservation":
         observation = Grayscale(given, config)
+    elif given["type"] == "LidarObservation":
+        observation = Lidar(given, own_axes=of_network)
     elif given["type"] == "LeadersFollowers":
         observation = LeadersFollowers(given, on_its_way=of_network)
     elif not kind.names:

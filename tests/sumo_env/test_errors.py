@@ -29,6 +29,7 @@ from tests.sumo_env.scenarios import drivers
 
 META, PEDALS, GRID = {"type": "DiscreteMetaAction"}, {"type": "ContinuousAction"}, {"type": "OccupancyGrid"}
 TABLE, STEPS = {"type": "Kinematics"}, {"type": "DiscreteAction"}
+LIDAR = {"type": "LidarObservation"}
 
 
 WEIGHTS = [0.3, 0.6, 0.1]
@@ -92,7 +93,9 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", sees(TABLE, order="random"), "shuffled, sorted"),
     ("sumo/highway", sees(TABLE, features_range={"vx": [0, 0]}), "low, high"),
     ("sumo/highway", sees(TABLE, vehicles_count=10**9), "from 1 to 10000"),
-    ("sumo/highway", sees({"type": "LidarObservation"}), "env.unwrapped.scene"),
+    ("sumo/highway", sees({"type": "KinematicsGoal"}), "not here"),
+    ("sumo/highway", sees(LIDAR, cells=0), "'cells'"),
+    ("sumo/highway", sees(LIDAR, maximum_range=0), "'maximum_range'"),
     ("sumo/u-turn", sees(GRID, features=["speed"]), "'speed'"),
     ("sumo/u-turn", sees(GRID, absolute=True), "'absolute'"),
     ("sumo/u-turn", sees(GRID, grid_size=[[-5, 5]]), "'grid_size'"),

@@ -25,6 +25,8 @@ from sumo_env.spaces.actions import ActionType as Kind
 from sumo_env.spaces.observation import FEATURES, destination_direction
 from sumo_env.traffic.scenario import VehicleSpec
 
+# Methods of lanes that take a place.
+OF_PLACES = {"local_coordinates", "on_lane", "is_reachable_from", "after_end", "distance"}
 # Modules of highway-env and, where it has another name there, the class that views stand for.
 THEIRS = {
     "Vehicle": "vehicle.behavior:IDMVehicle",
@@ -97,11 +99,15 @@ class View:
 class LaneView(View):
     """A lane, as ``highway_env.road.lane.AbstractLane`` is read.
 
-    A place in the world is a position (x, y) [m], or x and y.
+    The methods `OF_PLACES` are those of `Lane`; a place in the world is a position (x, y) [m], or x and y.
     """
 
     kind = "lane"
     _of: Lane
+
+    def __getattr__(self, name: str) -> Any:
+        found = super().__getattr__(name)
+        return (lambda *place, **more: found(*_at(place), **more)) if name in OF_PLACES else found
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, LaneView) and self._of == other._of
@@ -116,10 +122,6 @@ class LaneView(View):
         """The place (x, y) of a point of the lane [m]."""
         return np.array(self._of.position(float(longitudinal), float(lateral)))
 
-    def local_coordinates(self, *place: Any) -> tuple[float, float]:
-        """How far along the lane, and to the right of its centre line, a place is [m]."""
-        return self._of.local_coordinates(*_at(place))
-
     def width_at(self, longitudinal: float) -> float:
         """[m]."""
         return self._of.width
@@ -128,24 +130,8 @@ class LaneView(View):
         """A heading relative to the lane's, in [-pi, pi)."""
         return wrap_to_pi(heading - self._of.heading_at(float(longitudinal)))
 
-    def on_lane(self, *place: Any, margin: float = 0.0) -> bool:
-        """Whether a place is on the lane, widened by a margin [m] on both sides."""
-        return self._of.on_lane(*_at(place), margin)
-
-    def is_reachable_from(self, *place: Any) -> bool:
-        """Whether a vehicle at this place may change to the lane."""
-        return self._of.is_reachable_from(*_at(place))
-
-    def after_end(self, *place: Any) -> bool:
-        """Whether a vehicle at this place has to take its next lane."""
-        return self._of.after_end(*_at(place))
-
-    def distance(self, *place: Any) -> float:
-        """L1 distance of a place to the lane [m]."""
-        return self._of.distance(*_at(place))
-
     def distance_with_heading(self, position: Any, heading: float | None) -> float:
-        """The same, and 1 m for each radian between the headings."""
+        """L1 distance of a position to the lane [m], and 1 m for each radian between the headings."""
         return self._of.distance(*_at((position,)), heading)
 
 

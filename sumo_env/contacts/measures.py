@@ -101,7 +101,7 @@ def headways(x: Floats, y: Floats, speed: Floats, heading: Floats) -> Floats:
     return np.where(moving, (nearest - VEHICLE_LENGTH) / np.where(moving, speed, 1.0), inf)
 
 
-def density(x: Floats, y: Floats, ego: int = 0, radius: float = DENSITY_RADIUS) -> int:
-    """Number of other vehicles whose centre is within `radius` [m] of that of vehicle `ego`; x, y [m]: shape (n,)."""
-    dx, dy = x - x[ego], y - y[ego]
-    return int(np.count_nonzero(dx * dx + dy * dy <= radius * radius)) - 1
+def density(x: Floats, y: Floats) -> int:
+    """Number of other vehicles whose centre is within `DENSITY_RADIUS` of the first one's; x, y [m]: shape (n,)."""
+    dx, dy = x - x[0], y - y[0]
+    return int(np.count_nonzero(dx * dx + dy * dy <= DENSITY_RADIUS * DENSITY_RADIUS)) - 1

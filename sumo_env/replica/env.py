@@ -45,13 +45,9 @@ VERSIONS: dict[tuple[str, int], Config] = {
     ("u-turn", 1): CONNECTED,
     ("intersection", 1): {  # ``ContinuousIntersectionEnv``
         "observation": {
-            "type": "Kinematics",
+            **get_task("intersection").defaults["observation"],
             "vehicles_count": 5,
             "features": ["presence", "x", "y", "vx", "vy", *OFFSETS],
-            "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-20, 20], "vy": [-20, 20]},
-            "absolute": True,
-            "flatten": False,
-            "observe_intentions": False,
         },
         "action": {
             "type": "ContinuousAction",

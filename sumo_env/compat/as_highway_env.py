@@ -200,7 +200,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         )
 
     def get_available_actions(self) -> list[int]:
-        """Indices of the actions that would change something now, and of IDLE."""
+        """Indices of IDLE, and of the actions that would change something now, in highway-env's order."""
         x, y, lane, road = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane, self._road
         beside = {
             side
@@ -216,4 +216,5 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         }
         if (place := self.scene.place) is not None:
             possible |= {"LANE_LEFT": place.left, "LANE_RIGHT": place.right}
-        return [index for index, name in self.actions.items() if possible[name]]
+        indices = {name: index for index, name in self.actions.items()}
+        return [indices[name] for name, is_possible in possible.items() if is_possible and name in indices]

@@ -191,7 +191,7 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
 
 @pytest.mark.parametrize("id", ["highway-v0", "intersection-v0"])
 def test_available_actions_of_tuples_are_tuples(id: str) -> None:
-    """``MultiAgentAction.get_available_actions``: the product of what each car could do now."""
+    """``MultiAgentAction.get_available_actions``: the product of what each car could do now, in its order."""
     config = tuples({**META, "target_speeds": [0, 5, 10]}, SEEN, controlled_vehicles=2)
     envs: list[Any] = [
         gym.make(gym.spec(f"{room}{id}"), disable_env_checker=True, config=config)
@@ -200,7 +200,7 @@ def test_available_actions_of_tuples_are_tuples(id: str) -> None:
     for seed in range(3):
         for env in envs:
             env.reset(seed=seed)
-        ours, theirs = (set(env.unwrapped.get_available_actions()) for env in envs)
+        ours, theirs = (list(env.unwrapped.get_available_actions()) for env in envs)
         assert ours == theirs and len(ours) > 1
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ast import literal_eval
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from sumo_env.rendering.markings import markings
 from sumo_env.rendering.scenery import FILM, HIGHWAY_ENVS, Camera, scenery
 from sumo_env.scene import LETTERS
 from sumo_env.tasks import TASKS
+from tests.processes import python
 from tests.sumo_env.plans import QUIET, grid, needs_sumo
 from tests.sumo_env.rollout import assert_same_bits
 
@@ -46,6 +48,29 @@ def test_a_scene_has_what_sumo_says_and_watching_changes_nothing(lights: Path) -
     assert len(shown) > 2
     for env in (plain, watched):
         env.close()
+
+
+REPLAY = """
+import sys, libsumo
+libsumo.start(["sumo", "-c", sys.argv[1]])
+for _ in range(int(sys.argv[2])):
+    libsumo.simulationStep()
+    print({name: libsumo.trafficlight.getRedYellowGreenState(name) for name in libsumo.trafficlight.getIDList()})
+"""
+
+
+def test_an_exported_episode_shows_the_lights_that_it_had(lights: Path, tmp_path: Path) -> None:
+    env = start(lights)
+    env.configure({"policy_frequency": 10})
+    env.reset(seed=0)
+    seen = []
+    for _ in range(200):
+        env.step(SLOWER)
+        seen.append(env.scene.signals)
+    env.export(tmp_path / "episode")
+    env.close()
+    shown = python("-c", REPLAY, str(tmp_path / "episode" / "episode.sumocfg"), "200").splitlines()
+    assert [literal_eval(line) for line in shown[-200:]] == seen and seen[0] != seen[-1]
 
 
 @pytest.mark.parametrize("paint", [FILM, HIGHWAY_ENVS])

@@ -23,11 +23,9 @@ class Policy(Protocol):
 
     def act(self, observation: np.ndarray) -> int:
         """The action for an observation."""
-        ...
 
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode; the seed fixes the policy's own random draws."""
-        ...
 
 
 class Seedless:

@@ -110,7 +110,6 @@ class Simulator(Protocol):
 
         A learning car starts with the lane and the target speed of its `VehicleSpec`.
         """
-        ...
 
     def step(self, commands: Any, trace: bool = False) -> Step:
         """Drive one policy step: ``1 / scenario.policy_frequency`` seconds in sub-steps of the simulation frequency.
@@ -121,16 +120,12 @@ class Simulator(Protocol):
         Before the first sub-step, vehicles that have left the scene are removed and the scenario's spawns of this
         step are added (highway-env does this after the observation of the previous step, which is equivalent).
         """
-        ...
 
     def clone(self) -> Simulator:
         """A simulator in the same state, which goes on by itself."""
-        ...
 
     def imagine(self, scenario: Scenario) -> None:
         """Go on with the risk events of this scenario that have not begun, on the replica also with its drivers."""
-        ...
 
     def close(self) -> None:
         """Release what the simulator holds; `reset` acquires it again."""
-        ...

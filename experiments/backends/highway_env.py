@@ -1,13 +1,12 @@
 """The reference: highway-env itself, with the traffic of a `Scenario` in place of its own draws.
 
-Roads, vehicles, collisions, observations, rewards and endings are highway-env's code. Replaced are only the
-vehicles' places and drivers (the same that `sumo_env` places into SUMO for this seed), the risk events, and, so that
-both simulators are measured alike, the time limit and ``info``.
+Roads, vehicles, collisions, observations, rewards and endings are highway-env's code. Replaced are only the vehicles'
+places and drivers (those of `sumo_env` for this seed), the risk events, and, so that both simulators are measured
+alike, the time limit and ``info``.
 
 The configuration is that of `sumo_env`, with ``simulation_frequency`` 15 as in highway-env and two keys more.
-``risk_law`` says who is risky: "standard", as in `sumo_env`, or "linear", see `sumo_env.replica.linear`.
-``variant`` says how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the other two
-roads have no joins):
+``risk_law`` says who is risky: "standard", as in `sumo_env`, or "linear", see `sumo_env.replica.linear`. ``variant``
+says how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the others have no joins):
 
     "v0"         not at all (roundabout-v0, intersection-v0, u-turn-v0);
     "connected"  onto the next lanes, distances projected (roundabout-v1, intersection-v2, u-turn-v1);

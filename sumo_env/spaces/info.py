@@ -70,7 +70,7 @@ def ending(ego: EgoState, arrived: bool, terminated: bool, truncated: bool) -> s
         return "time" if truncated else ""
     if ego.crashed or arrived:
         return "crash" if ego.crashed else "arrived"
-    place = ego.scene.place if ego.scene is not None else None
+    place = ego.scene.place
     return (place.ended if place is not None else "") or ("own rule" if ego.on_road else "off road")
 
 

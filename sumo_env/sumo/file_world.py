@@ -25,7 +25,7 @@ from sumo_env.sumo.vehicle import OF_SUMO, Vehicle
 from sumo_env.sumo.world import GONE, SumoSimulator
 from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events, draw_own_events
-from sumo_env.traffic.scenario import Scenario, SumoTraffic
+from sumo_env.traffic.scenario import Scenario
 from sumo_env.traffic.sumo_files import own_folder
 
 # Classes whose drivers risk changes: those of roads, but bicycles.
@@ -51,7 +51,7 @@ class FileSimulator(SumoSimulator):
         self._models = dict(traffic.models)
         self._session.load(file_settings(scenario, self._options, self._episode_folder()))
         self._time = -inf  # no episode yet
-        self._insert_ego(scenario, traffic)
+        self._insert_ego()
         self._time = 0.0
         for name in self._road:
             self._plan(name, 0.0)
@@ -87,9 +87,10 @@ class FileSimulator(SumoSimulator):
         if self._unwanted is not None:
             shutil.rmtree(self._unwanted, ignore_errors=True)
 
-    def _insert_ego(self, scenario: Scenario, traffic: SumoTraffic) -> None:
+    def _insert_ego(self) -> None:
         """Drive until the ego has departed, at the end of the warm-up or later."""
-        session, name, origin = self._session, self._name, traffic.origin
+        session, scenario, traffic = self._session, self._scenario, self._traffic
+        name, origin = self._name, traffic.origin
         for _ in range(round(scenario.warm_up / self._dt)):
             self._advance()
         if origin.edges and not session.send(name, origin.edges, origin.is_trip, origin.type, origin.speed):
@@ -100,7 +101,7 @@ class FileSimulator(SumoSimulator):
             if self._departed and not (scenario.further or traffic.car_type):
                 raise SimulatorError(f"the ego {name!r} has left the road before 'warm_up' was over")
             if steps * self._dt >= traffic.wait:
-                raise SimulatorError(self._why_not_here(traffic))
+                raise SimulatorError(self._why_not_here())
             self._advance()
             steps += 1
 
@@ -112,14 +113,14 @@ class FileSimulator(SumoSimulator):
             return is_one and self._free >= 0
         return name == self._name or name in self._scenario.further
 
-    def _why_not_here(self, traffic: SumoTraffic) -> str:
+    def _why_not_here(self) -> str:
         cars = self._traffic.car_type or (self._name, *self._scenario.further)
         why = "it departs later ('wait', 'begin'), SUMO has left it out ('scale'), or there is none"
         if self._name in self._session.simulation.getPendingVehicles():
             kind = self._session.vehicle.getVehicleClass(self._name)
             why = f"there is no room where it departs, or no lane for vehicles of class {kind!r}"
         now = self._session.simulation.getTime()
-        return f"the learning car ({cars}) has not departed within {traffic.wait:g} s, at SUMO's {now:g} s: {why}"
+        return f"the learning car ({cars}) has not departed within {self._traffic.wait:g} s, at SUMO's {now:g} s: {why}"
 
     # -- a policy step -------------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sumo_env.config import MEASURED, Config, ConfigError, pace, simulated_frequency
 from sumo_env.networks.roads import LaneIndex, Road, is_shipped
-from sumo_env.scene import OBSTACLE, Scene
+from sumo_env.scene import OBSTACLE, Place, Scene
 from sumo_env.streams import stream
 from sumo_env.traffic.drivers import (
     POOL,
@@ -62,10 +62,16 @@ class EgoState(NamedTuple):
     action: int | float | tuple[float, ...] | None
     crashed: bool
     on_road: bool
-    scene: Scene | None = None
+    scene: Scene
     acceleration: float = 0.0
     jerk: float = 0.0
     before: Scene | None = None
+
+    @property
+    def place(self) -> Place:
+        """Where SUMO says that it is, on a network of a user's own."""
+        assert self.scene.place is not None
+        return self.scene.place
 
 
 class Task:

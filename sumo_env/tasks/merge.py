@@ -96,7 +96,7 @@ def places(rng: np.random.Generator) -> list[tuple[LaneIndex, float, float]]:
 
 def _held_up(ego: EgoState) -> float:
     """By what share of its wanted speed the car in the third lane is too slow; nobody else can be there."""
-    if ego.scene is None or MERGING not in ego.scene.ids:
+    if MERGING not in ego.scene.ids:
         return 0.0
     row = ego.scene.ids.index(MERGING)
     x, y, speed, heading = state_of(ego.scene, row)

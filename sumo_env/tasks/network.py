@@ -12,7 +12,7 @@ from typing import Any
 from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError, warn_once
 from sumo_env.networks import files
 from sumo_env.networks.roads import Road
-from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST, Place
+from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST
 from sumo_env.streams import stream
 from sumo_env.tasks.base import EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.tasks.random_traffic import elements
@@ -298,7 +298,7 @@ class NetworkTask(Task):
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         limits = config["reward_speed_range"] or [self._limit / 2, self._limit]
-        place = _place(ego)
+        place = ego.place
         return {
             "progress_reward": place.progress,
             "collision_reward": float(ego.crashed),
@@ -311,17 +311,12 @@ class NetworkTask(Task):
         }
 
     def arrived(self, ego: EgoState) -> bool:
-        return _place(ego).ended == "arrived"
+        return ego.place.ended == "arrived"
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
-        place = _place(ego)
+        place = ego.place
         ran_red = place.red_light and bool(config["red_light_terminal"])
         return super().terminated(ego, config) or bool(place.ended) or ran_red
-
-
-def _place(ego: EgoState) -> Place:
-    assert ego.scene is not None and ego.scene.place is not None
-    return ego.scene.place
 
 
 def _ranges(limit: float) -> dict[str, list[float]]:

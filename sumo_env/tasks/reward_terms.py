@@ -28,8 +28,7 @@ def measures_energy(config: Config) -> bool:
 
 def terms(ego: EgoState, config: Config) -> dict[str, float]:
     """The raw terms of one policy step."""
-    assert ego.scene is not None and ego.scene.place is not None
-    place = ego.scene.place
+    place = ego.place
     dt = 1.0 / pace(int(config["simulation_frequency"]), int(config["policy_frequency"]))
     follower, before = place.neighbours[3], {}
     if ego.before is not None and ego.before.place is not None:

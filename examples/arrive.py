@@ -1,15 +1,14 @@
 """Agents that arrive: DQN of Stable-Baselines3 and of this project on three scenarios of SUMO, beside drivers that do
 not learn (pip install stable-baselines3 eclipse-sumo, and this package).
 
-    python examples/arrive.py --out arrive.json              # all, some hours; goes on where it was stopped
+    python examples/arrive.py --out arrive.json              # all, some hours; continues where it stopped
     python examples/arrive.py --only ramp/sb3-dqn --steps 2000 --episodes 10
 
 ramp: from the acceleration lane between the cars of a motorway, and on. grid: a left turn, where others come towards
 the ego, a right turn and three traffic lights, which the agent has to learn. town: three trips through Braunschweig,
 where the ego obeys its light by itself. Roads, traffic, horizon and seeds of the grid were fixed before any agent was
 trained on this grid; only the agent's side (observation, rewards, settings of learners) was tuned, on other seeds.
-Each line counts how 100 episodes ended. Their seeds are none of the training's, and settings were chosen on other seeds
-(--tune).
+Each line counts how 100 episodes ended. Training and the choice of settings (--tune) used other seeds.
 """
 
 import argparse

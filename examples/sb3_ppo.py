@@ -1,10 +1,10 @@
 """Stable-Baselines3's PPO on 64 environments that one call steps (pip install stable-baselines3 numba).
 
     python examples/sb3_ppo.py --steps 300000 --task u-turn --risk 0.5
-    python examples/sb3_ppo.py --minutes 10               # as long as that, however many steps it is
+    python examples/sb3_ppo.py --minutes 10               # trains for ten minutes
     python examples/sb3_ppo.py --minutes 10 --learner dqn # DQN on one environment, to compare
 
-The agent then drives 200 scenarios, the same ones whatever has been learned.
+The agent then drives 200 scenarios, always the same ones.
 """
 
 import argparse

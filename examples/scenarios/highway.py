@@ -1,6 +1,6 @@
 """Highway: the agent changes lanes, and SUMO has the pedals (longitudinal: "sumo").
 
-Slow cars are in all lanes. Whoever finds the free ones gets further in 40 s, which is what is paid.
+Slow cars are in all lanes. The reward is the distance in 40 s, so the agent has to find the free lanes.
 After 10,000 steps the agent is not ahead of a constant action (docs/examples.md).
 """
 

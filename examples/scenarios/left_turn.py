@@ -1,6 +1,6 @@
-"""Left turn: across the oncoming traffic of a crossing without lights, to which SUMO's drivers give way by its rules.
+"""Left turn across oncoming traffic, to which the ego has to give way, at a crossing without lights.
 
-The agent has the target speed alone. Nobody stops for it, and it crashes if it drives into a gap that is too small.
+The agent controls only its target speed. No car stops for it, and it crashes if it takes a gap that is too small.
 After 14,000 steps the agent is not ahead of a constant action (docs/examples.md).
 """
 

@@ -1,6 +1,6 @@
 """Corridor of lights, with fuel: the agent chooses a speed, so that it meets the next light at green.
 
-The car brakes for red lights by itself (obey_traffic_lights). What is paid is the way, less the fuel.
+The car brakes for red lights by itself (obey_traffic_lights). The reward is the distance, less the fuel.
 After 6,000 steps the agent is behind a constant action (docs/examples.md).
 """
 

@@ -1,6 +1,6 @@
 """Platoon: three learning cars, with one policy for all, behind a leader of SUMO that slows down now and then.
 
-Paid is the way; gaps below 1.5 s, strong accelerations and crashes cost. (pip install pettingzoo supersuit)
+The reward is the distance; gaps below 1.5 s, strong accelerations and crashes cost. (pip install pettingzoo supersuit)
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Ring, with mixed autonomy: 21 cars of SUMO and the agent's, which can calm their waves. A ring has no arrival.
 
-Paid is the mean speed of all cars, of which the ego is one.
+The reward is the mean speed of all cars, the ego included.
 """
 
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Town: three trips through a small town with lights and side roads, among the traffic of a route file.
 
-The car brakes for red lights by itself. The agent has the target speed, and SUMO chooses the lanes. The agent has to
-give way, and to keep its distance.
+The car brakes for red lights by itself. The agent controls the target speed, has to give way and to keep its
+distance; SUMO chooses the lanes.
 """
 
 from pathlib import Path

@@ -109,19 +109,24 @@ class Road:
                         return queue[-1]
         return ()
 
-    def next_lane(
-        self, index: LaneIndex, route: Sequence[str] = (), x: float | None = None, y: float | None = None
-    ) -> LaneIndex:
+    def follow(self, index: LaneIndex, route: Sequence[str], x: float, y: float) -> LaneIndex:
+        """The lane to steer for at (x, y) [m]: `index`, or at its end the next one of the route (`follow_road`).
+
+        The two-way road goes on: its next lane would be that of the oncoming traffic.
+        """
+        is_over = not self.oncoming and self.lanes[index].after_end(x, y)
+        return self.next_lane(index, route, x, y) if is_over else index
+
+    def next_lane(self, index: LaneIndex, route: Sequence[str], x: float, y: float) -> LaneIndex:
         """The lane that follows `index` on the way along the nodes of `route`.
 
         The lane id is kept onto a road with as many lanes; otherwise the lane is taken that is closest to the current
-        lane's centre beside the vehicle at (x, y) [m] (without a position: to that lane's end). Where the route does
-        not go on past the lane's end all successors compete; without any, `index` stays.
+        lane's centre beside the vehicle at (x, y) [m]. Where the route does not go on past the lane's end all
+        successors compete; without any, `index` stays.
         """
         start, node, i = index
         lane = self.lanes[index]
-        s = lane.length if x is None or y is None else lane.local_coordinates(x, y)[0]
-        projected = lane.position(s, 0.0)
+        projected = lane.position(lane.local_coordinates(x, y)[0], 0.0)
 
         def onto(end: str) -> tuple[float, LaneIndex]:
             keeps = self._counts[start, node] == self._counts[node, end]

@@ -21,7 +21,7 @@ from sumo_env.env.sumo_access import OwnSumo
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import Scene
 from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
-from sumo_env.spaces.actions import PlainAction, ego_route
+from sumo_env.spaces.actions import PlainAction
 from sumo_env.spaces.info import ending, information, on_its_way, paid_late
 from sumo_env.spaces.interface import interface
 from sumo_env.streams import stream
@@ -183,7 +183,7 @@ class DrivingEnv(OnScreen, OwnSumo):
     def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
         """The ego is on the road: its first observation and ``info``."""
         self.scenario, self.scene = scenario, scene
-        self._road, self._route = scenario.road, ego_route(scenario.road, scenario.ego)
+        self._road, self._route = scenario.road, scenario.ego.route(scenario.road)
         self._spec_of = {spec.id: spec for spec in scenario.specs}
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
         self._row_order = self._shuffling(scenario)

@@ -121,7 +121,7 @@ def target_lane(
     action: str, road: Road, lane: LaneIndex, route: tuple[str, ...], x: float, y: float
 ) -> LaneIndex:
     """Target lane after a meta-action of the ego at (x, y) [m]; `lane` is the previous one."""
-    lane = follow_road(road, lane, route, x, y)
+    lane = road.follow(lane, route, x, y)
     beside = road.beside(lane, SIDES[action]) if action in SIDES else None
     # the lane of oncoming traffic goes on beyond highway-env's
     if beside is not None and (road.oncoming or road.lane(beside).is_reachable_from(x, y)):
@@ -147,23 +147,6 @@ def lane_beside(action: str, place: Place, lane: LaneIndex) -> LaneIndex:
     if (action == "LANE_LEFT" and place.left) or (action == "LANE_RIGHT" and place.right):
         return start, end, number + (1 if action == "LANE_RIGHT" else -1)
     return lane if lane[:2] == (start, end) else place.lane
-
-
-def follow_road(road: Road, lane: LaneIndex, route: tuple[str, ...], x: float, y: float) -> LaneIndex:
-    """The lane to steer for at (x, y) [m]: `lane`, or at its end the next one of the route.
-
-    The two-way road goes on: its next lane would be that of the oncoming traffic.
-    """
-    is_over = not road.oncoming and road.lane(lane).after_end(x, y)
-    return road.next_lane(lane, route, x, y) if is_over else lane
-
-
-def ego_route(road: Road, ego: VehicleSpec) -> tuple[str, ...]:
-    """Nodes of the ego's route, from the start of its first lane to its destination."""
-    start, end, _ = ego.lane
-    if ego.destination is None or ego.destination == end:
-        return (start, end)
-    return (start, *road.route(end, ego.destination))
 
 
 # -- pedals and steering wheel -------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from functools import lru_cache
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.simulator import EgoCommand
-from sumo_env.spaces.actions import ego_route, follow_road
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.risk import CUT_IN_GAP
@@ -35,7 +34,7 @@ class Ego:
         """spec: the ego among the scenario's learning cars; vehicle: it on the road."""
         self._name, self.vehicle = spec.id, vehicle
         self._session, self._network, self._road = session, network, scenario.road
-        self._route = ego_route(self._road, spec)
+        self._route = spec.route(self._road)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
         self._lane, self._stretch = "", 1.0  # of SUMO
         self._way = network.sumo_route(spec.lane, spec.destination)  # of SUMO
@@ -54,7 +53,7 @@ class Ego:
         Where SUMO drives, `settle` returns the distance.
         """
         session = self._session
-        self.target_lane = follow_road(self._road, self.target_lane, self._route, *here[:2])
+        self.target_lane = self._road.follow(self.target_lane, self._route, *here[:2])
         if self.vehicle.crashed:
             self.speed, distance = coast(self.speed, dt)
         elif not self.vehicle.has_speed:

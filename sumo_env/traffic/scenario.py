@@ -73,6 +73,13 @@ class VehicleSpec(NamedTuple):  # dozens are made in every episode, a dataclass 
         """Whether it is an obstacle of the road: it stands, and nobody drives it."""
         return is_obstacle(self.id)
 
+    def route(self, road: Road) -> tuple[str, ...]:
+        """Nodes of its route, from the start of its first lane to its destination."""
+        start, end, _ = self.lane
+        if self.destination is None or self.destination == end:
+            return (start, end)
+        return (start, *road.route(end, self.destination))
+
 
 @dataclass(frozen=True, slots=True)
 class Spawn:

@@ -19,7 +19,6 @@ from sumo_env.spaces.actions import (
     NAMES,
     DiscreteMetaAction,
     Situation,
-    ego_route,
     target_lane,
     target_speed_index,
 )
@@ -55,7 +54,7 @@ def ours(env: ScenarioEnv, observation: dict[str, Any], rng: np.random.Generator
     road, ego, scene = env.task.road(env.config), ego_state(env, None), env._scene()
     specs = (*env.scenario.specs, *(spawn.vehicle for spawn in env.scenario.spawns))
     known = scene, road, ego, {spec.id: spec for spec in specs}, rng
-    return kind.observe(Situation(*known, env.target_speeds, ego_route(road, env.scenario.ego)))
+    return kind.observe(Situation(*known, env.target_speeds, env.scenario.ego.route(road)))
 
 
 def assert_equal(env: ScenarioEnv, theirs: ObservationType, observation: dict[str, Any]) -> None:

@@ -1,6 +1,13 @@
 """Measured drivers: published distributions in the place of highway-env's numbers, without risk.
 
-docs/developers/measured_drivers.md has the sources, what was read of them, and what no source gives.
+Each number below has its source, and in brackets what was read of it. A driver's parameters are drawn independently.
+No source gives the spread of critical gaps at roundabouts and of accelerations from rest, laws for two-way roads and
+bends (the highway's are used), and the share of drivers that do not give way. On the highway lane changes are SUMO's
+LC2013 without calibration: at 22.5 m/s drivers change lanes 0.30 times a minute (16 commuters, Virginia Tech: one in
+4.44 km) or 0.17 times (highD, Krajewski et al. 2018: one in 8.0 km) [abstracts].
+
+A vehicle crosses ahead of another one that arrives more than jmTimegapMinor after it has left. SUMO's IDM overestimates
+the time of the crossing (8.4 s from rest at the intersection), so jmTimegapMinor is the critical gap less this time.
 """
 
 from __future__ import annotations
@@ -30,18 +37,20 @@ class Normal(NamedTuple):
         return min(max(NormalDist(self.mean, self.deviation).inv_cdf(share), self.low), self.high)
 
 
-# 1,000 drivers on highways of Ann Arbor (Kusari et al., arXiv 2109.11620); the deviation of `DECEL` is from a figure
+# 1,000 drivers on highways of Ann Arbor: Kusari et al., arXiv 2109.11620 [data: highway-1000.rou.xml of
+# arpan-kusari/Naturalistic-SUMO-Gym; `DECEL` a figure: mode 1.8, 0 to 3.7]. Their `TAU` was fitted with a gap of 63 m.
 TAU = Normal(1.96, 0.60, 0.5, 3.7)  # [s]
 ACCEL = Normal(1.19, 0.26, 0.4, 2.0)  # [m/s2]
 DECEL = Normal(1.9, 0.6, 0.5, 3.7)  # [m/s2]
 DELTA = Normal(3.99, 0.32, 3.0, 5.0)
-MIN_GAP = 3.65  # [m] highD's mean driver (Zhang and Sun, arXiv 2210.03571)
-# [m/s2] middle of 1.5 to 2, which published studies call comfortable (review by C. Murdoch, hawkins.biz)
+MIN_GAP = 3.65  # [m] highD's mean driver: Zhang and Sun, arXiv 2210.03571 [data]
+# [m/s2] middle of 1.5 to 2, which papers from 1938 to 2010 call comfortable: C. Murdoch, hawkins.biz [its summary]
 FROM_REST = Normal(1.75)
-# [s] passenger cars on minor roads with a stop sign: half of the drivers take 6.5 s, 85 % take 8.25 s (Fitzpatrick,
-# Transportation Research Record 1303, 1991). Below 4.5 s others would have to stop.
+# [s] passenger cars on minor roads with a stop sign: half of the drivers take 6.5 s, 85 % take 8.25 s: Fitzpatrick,
+# Transportation Research Record 1303, 1991 [abstract]. Below 4.5 s others would have to stop.
 STOP_SIGN = Normal(6.5, 1.69, 4.5, 10.5)
-ROUNDABOUT = Normal(4.0)  # [s] middle of 3.3 to 4.7, by method (J. Adv. Transp. 2018, 2726732)
+# [s] middle of 3.3 to 4.7, by method (2,421 decisions, Korea): J. Adv. Transp. 2018, 2726732 [abstract]
+ROUNDABOUT = Normal(4.0)
 EMERGENCY_DECEL = 6.0  # [m/s2] highway-env's: no source
 
 

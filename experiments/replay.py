@@ -38,7 +38,7 @@ import gymnasium as gym
 import tyro
 
 from experiments import backends
-from experiments.study.compute.cell_task import MakeEnv
+from experiments.backends import MakeEnv
 from experiments.study.design.cell import tested_on
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, ending, play_again

@@ -32,7 +32,8 @@ import pandas as pd
 import tyro
 
 from experiments import backends
-from experiments.study.compute.cell_task import CellTask, MakeEnv
+from experiments.backends import MakeEnv
+from experiments.study.compute.cell_task import CellTask
 from experiments.study.compute.cells import compute
 from experiments.study.compute.executors import EXECUTORS, cores
 from experiments.study.compute.policies import driver
@@ -93,7 +94,7 @@ def sweep(
         return 0
     cells = options.cells()
     mine = shard(cells, options.shard)
-    check(dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on)))
+    check(pair for cell in mine for pair in cell.simulated)
     there = set(Store(options.directory).finished())
     new = [cell for cell in mine if cell.name not in there]
     check_learners((cell.policy, cell.profile) for cell in new if cell.kind == "agent")

@@ -69,9 +69,7 @@ def train(options: Options, arguments: list[str]) -> int:
     """Do what the options ask for; returns the exit status."""
     asked = options.cells()
     agents = [cell for cell in asked if cell.kind == "agent"]
-    check_dynamics(
-        dict.fromkeys((name, cell.task) for cell in asked for name in (cell.backend, cell.runs_on))
-    )
+    check_dynamics(pair for cell in asked for pair in cell.simulated)
     check_learners((cell.policy, cell.profile) for cell in agents)
     with writing(options.out):
         Store(options.out).write_sweep(shlex.join(["python", "experiments/train.py", *arguments]), asked)

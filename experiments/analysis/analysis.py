@@ -35,8 +35,7 @@ SCHEMA = 4
 BOTH = ("treatment", "control")
 ONE_TRAFFIC = ("risky", "regular")
 # Comparisons in addition to the plan's: further arms, and the rule driver that is the mark to beat, as (arm, against).
-FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
-FURTHER_COMPARISONS = [*FURTHER, *((arm, "careful") for arm in ARMS)]
+FURTHER = [*product(EXTRA_ARMS, ARMS), *((arm, "careful") for arm in ARMS)]
 SHOWN = [(outcome, term) for outcome in ("crashed", "return", "mean_speed") for term in ONE_TRAFFIC]
 DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress", "crash_closing_speed")
 LEAST = 4  # control agents of a setting that can be dealt into two arms
@@ -100,7 +99,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     trends = slopes(arms, plan)
     everybody = arms_of(pd.concat([agents, careful(episodes)]))
     beside = [
-        contrasts(everybody, dict.fromkeys(FURTHER_COMPARISONS, SHOWN)),
+        contrasts(everybody, dict.fromkeys(FURTHER, SHOWN)),
         contrasts(arms_of(pairs.units(episodes)), dict.fromkeys(pairs.COMPARED, SHOWN)),
     ]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]

@@ -7,7 +7,7 @@ libsumo.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -23,6 +23,7 @@ IDS = {
     "replica": "sumo_env:replica/{}-v0",
     "highway-env": "experiments.backends.highway_env:highway-env/{}",
 }
+MakeEnv = Callable[..., gym.Env[Any, Any]]  # from (backend, task, config), as `make_env` below
 REPLICA = {"scenarios": "seeded", "variant": "path", "risk_law": "standard"}
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium as gym
 import pandas as pd
 
+from experiments.backends import MakeEnv
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import costs
@@ -25,14 +26,12 @@ from experiments.support.errors import UserError
 from experiments.support.files import made
 from experiments.support.provenance import provenance
 
-MakeEnv = Callable[..., gym.Env[Any, Any]]
-
 
 @dataclass(frozen=True)
 class CellTask:
     """A cell to compute in a result directory (a `run.Task`).
 
-    make_env: makes an environment from (backend, task, config); must be importable in another process.
+    make_env: must be importable in another process.
     silence: a cell that makes no update and ends no episode for so long hangs, and is begun again [s].
     """
 

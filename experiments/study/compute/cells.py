@@ -8,7 +8,8 @@ from contextlib import closing
 from pathlib import Path
 
 from experiments import backends
-from experiments.study.compute.cell_task import CellTask, MakeEnv
+from experiments.backends import MakeEnv
+from experiments.study.compute.cell_task import CellTask
 from experiments.study.compute.executors import cores, open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
 from experiments.study.compute.progress import ProgressDisplay, duration, seconds
@@ -40,7 +41,7 @@ def compute(
         number = workers or cores()
         print(f"about {duration(left / number)} with {number} processes on a common server", flush=True)
     # highway-env's tasks change class attributes of each other
-    simulators = {name for cell in cells for name in (cell.backend, cell.runs_on)}
+    simulators = {name for cell in cells for name, _ in cell.simulated}
     per_process = 1 if "highway-env" in simulators else TASKS_PER_PROCESS
     failures: dict[str, str] = {}
     with closing(ProgressDisplay(store.work, sizes, there)) as progress:

@@ -14,6 +14,7 @@ import pandas as pd
 
 from agents.learner import Trained
 from agents.streams import episode_seed
+from experiments.backends import MakeEnv
 from experiments.study.compute.policies import check
 from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
@@ -21,7 +22,6 @@ from experiments.study.design.cell import Cell, learner_of
 from experiments.support.errors import in_words
 
 CURVE = 20  # parts of a learning curve
-MakeEnv = Callable[..., gym.Env[Any, Any]]  # from (backend, task, config)
 
 
 def train_cell(
@@ -30,7 +30,6 @@ def train_cell(
     """Train the agent of a cell; the same whenever it is done.
 
     Args:
-        make_env: makes an environment from (backend, task, config).
         progress: called now and then with the number of environment steps that are made.
 
     Returns:

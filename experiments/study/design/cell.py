@@ -93,6 +93,11 @@ class Cell:
         return str(self.tested["backend"])
 
     @property
+    def simulated(self) -> tuple[tuple[str, str], ...]:
+        """What is simulated for it, as (backend, task): in training, and in the test."""
+        return (self.backend, self.task), (self.runs_on, self.task)
+
+    @property
     def parent(self) -> Cell:
         """The cell that has trained the agent of a further test."""
         return replace(self, kind="agent", test_on=None)

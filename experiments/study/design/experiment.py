@@ -137,8 +137,9 @@ class Experiment:
 
     def _agents(self, common: Cell) -> Iterator[Cell]:
         """The agents of a task and level: every arm of each training seed."""
-        further = [self.at_ends[common.task]] if self._has_more(common) else []
-        seeds, arms = self.seeds, dict.fromkeys([*(self.arms or ARMS), *further])
+        seeds, arms = self.seeds, dict.fromkeys(self.arms or ARMS)
+        if common.task in self.at_ends and is_end(common.task, common.level):
+            arms[self.at_ends[common.task]] = None
         if seeds < 1:
             raise UserError(f"at least one seed is needed, not {seeds}")
         if self.placebo:
@@ -161,9 +162,6 @@ class Experiment:
                     profile={**common.profile, **profile, **EVERY_ARM[arm].rules},
                     source=self.learner if self._own_learner else self._own_network,
                 )
-
-    def _has_more(self, cell: Cell) -> bool:
-        return cell.task in self.at_ends and is_end(cell.task, cell.level)
 
     def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""

@@ -136,7 +136,7 @@ def check_dynamics(pairs: Iterable[tuple[str, str]]) -> None:
         UserError: one does not.
     """
     table = _table()
-    for backend, task in pairs:
+    for backend, task in dict.fromkeys(pairs):
         known = table.get(backend, {}).get(task)
         if known and not _same(driven(backend, task), known["behaviour"]):
             raise UserError(

@@ -38,7 +38,7 @@ from experiments.study.design.arms import scenario_seed
 from experiments.study.design.levels import env_config, level_names
 from experiments.study.design.traffic import TRAFFICS
 from experiments.support.arguments import command
-from experiments.support.errors import unknown
+from experiments.support.errors import check_known
 from sumo_env.tasks import TASKS
 
 DRIVERS = "control", "treatment", "mixed"
@@ -151,9 +151,8 @@ def main(options: Options) -> int:
     """Train the estimators of these settings. Raises UserError for a setting that there is not."""
     known = {f"{task}-{name}": (task, k + 1) for task in TASKS for k, name in enumerate(level_names(task))}
     estimators.FOLDER.mkdir(parents=True, exist_ok=True)
+    check_known("setting", options.settings, known)
     for name in options.settings:
-        if name not in known:
-            raise unknown("setting", name, known)
         row = pd.DataFrame([train(*known[name])]).round(3)
         file = estimators.FOLDER / "estimators.csv"
         table = pd.concat([pd.read_csv(file), row]) if file.exists() else row

@@ -45,7 +45,7 @@ from experiments.study.replaying.rerun import Case, changed_versions, difference
 from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import Store, find_cell
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, unknown
+from experiments.support.errors import UserError, check_known
 from experiments.support.films import Film, Pictures, check_film, save_gif, side_by_side
 
 
@@ -89,8 +89,7 @@ def parse_case(text: str, code: str | None = None) -> Case:
     test = store.tables(name)[EPISODES]
     rows = test.sort_values("crashed", ascending=False, kind="stable")
     if match["traffic"]:
-        if match["traffic"] not in set(test["traffic"]):
-            raise unknown("traffic", match["traffic"], test["traffic"].unique())
+        check_known("traffic", [match["traffic"]], test["traffic"].unique())
         rows = rows[(rows["traffic"] == match["traffic"]) & (rows["scenario"] == int(match["scenario"]))]
     if rows.empty:
         first, last = test["scenario"].min(), test["scenario"].max()

@@ -47,7 +47,7 @@ from experiments.study.design.options import Asked, argument
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, unknown, writing
+from experiments.support.errors import UserError, check_known, writing
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,7 @@ def sweep(
     """
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")
-    if options.executor not in EXECUTORS:
-        raise unknown("executor", options.executor, EXECUTORS)
+    check_known("executor", [options.executor], EXECUTORS)
     if options.dry_run:
         planned = shard(options.cells(known_dynamics, known_digest), options.shard)
         describe(options, planned, options.workers or cores())

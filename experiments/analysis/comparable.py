@@ -6,7 +6,6 @@ task and traffic level, and each arm and kind of test there, one group is analys
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -15,12 +14,12 @@ import pandas as pd
 
 from agents.rules import POLICIES
 from experiments.study.design.arms import ARMS
+from experiments.study.design.cell import setting_of_agent
 from experiments.study.results.loaded import SETTING, Results
 from experiments.support.files import canonical_json
 
 Cell = Mapping[str, Any]
 ENVIRONMENT = ("env_config ", "eval ", "version of ", "dynamics")  # settings without a trained agent too
-FURTHER = re.compile(r"-(doses|unseen|on-[a-z-]+)$")  # how the slugs of further tests end
 ALONE = "no agents of both arms with its settings to compare with"
 
 
@@ -114,11 +113,11 @@ def unfinished(results: Results, chosen: Results) -> dict[str, str]:
     Settings are named as in `cell.setting`; those that no sweep has asked for are not named.
     """
     asked: dict[str, list[str]] = {}
-    for name in dict.fromkeys((*results.expected, *results.cells)):
-        # behind the seed stands the learner, if it is not the study's
-        found = re.fullmatch(rf"(.+)-({'|'.join(ARMS)})-s\d+(-.+)?-[0-9a-f]+", name)
-        if found and not FURTHER.search(found[3] or ""):
-            asked.setdefault(found[1], []).append(name)
+    for name in dict.fromkeys(
+        (*results.expected, *results.cells)
+    ):  # of some of them nothing but their names is there
+        if setting := setting_of_agent(name):
+            asked.setdefault(setting, []).append(name)
     lacking = {part: sum(name not in chosen.cells for name in names) for part, names in asked.items()}
     return {p: f"{n} of {len(asked[p])} agents are missing" for p, n in lacking.items() if n}
 

@@ -31,6 +31,14 @@ def unknown(kind: str, word: object, known: Iterable[object]) -> UserError:
     return UserError(str(plugins.unknown(kind, str(word), map(str, known))))
 
 
+def check_known(kind: str, words: Iterable[object], known: Iterable[object]) -> None:
+    """Raise UserError for the first of some names that does not exist."""
+    names = list(known)
+    for word in words:
+        if word not in names:
+            raise unknown(kind, word, names)
+
+
 @contextmanager
 def in_words(errors: tuple[type[Exception], ...] = (ValueError,)) -> Iterator[None]:
     """Make a UserError of a ValueError, which says what is wrong with a name or a value, or of other errors."""

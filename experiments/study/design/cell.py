@@ -8,13 +8,14 @@ adding tasks, levels or seeds never renames a cell that is there already.
 from __future__ import annotations
 
 import importlib.metadata
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from experiments.backends import SIMULATORS
-from experiments.study.design.arms import gate_traffics
+from experiments.study.design.arms import ARMS, gate_traffics
 from experiments.study.design.traffic import BETWEEN, TRAFFICS
 from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
@@ -209,6 +210,14 @@ def slug(key: Mapping[str, Any]) -> str:
         here = "" if traffics <= set(TRAFFICS) else "-doses" if traffics <= set(BETWEEN) else "-unseen"
         last += f"-on-{test_on['backend']}" if elsewhere else here
     return f"{setting(key)}-{last}"
+
+
+def setting_of_agent(name: str) -> str:
+    """The setting in the name of a cell that trains an agent of one of both arms; empty for any other cell."""
+    # behind the seed stands the learner, if it is not LEARNER, and then what a further test is of
+    found = re.fullmatch(rf"(.+)-({'|'.join(ARMS)})-s\d+(-.+)?-[0-9a-f]+", name)
+    is_test = found and re.search(r"-(doses|unseen|on-[a-z-]+)$", found[3] or "")
+    return found[1] if found and not is_test else ""
 
 
 def cell_name(key: Mapping[str, Any], version: Mapping[str, Any]) -> str:

@@ -19,7 +19,7 @@ from experiments.study.design.levels import choose_levels, choose_tasks, env_con
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.study.design.training_rules import RULES, TrainingRules
-from experiments.support.errors import UserError, in_words, unknown
+from experiments.support.errors import UserError, check_known, in_words
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 PLANNED = 100  # test episodes of `drivers` in each traffic, at most
@@ -82,15 +82,11 @@ class Experiment:
         Raises:
             UserError: something does not exist or makes no sense.
         """
-        for name in (self.backend, *self.test_on):
-            if name not in BACKENDS:
-                raise unknown("backend", name, BACKENDS)
+        check_known("backend", (self.backend, *self.test_on), BACKENDS)
         tasks = choose_tasks(self.tasks or tuple(GRID))
         levels = choose_levels(tasks, self.levels or None)
         policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
-        for name in self.drivers:
-            if name not in DRIVERS:
-                raise unknown("driver", name, DRIVERS)
+        check_known("driver", self.drivers, DRIVERS)
         rules = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
@@ -144,9 +140,7 @@ class Experiment:
             raise UserError(f"at least one seed is needed, not {seeds}")
         if self.placebo:
             seeds, arms = max(2 * seeds, PLACEBO_SEEDS), {"control": None}
-        for arm in arms:
-            if arm not in EVERY_ARM:
-                raise unknown("arm", arm, EVERY_ARM)
+        check_known("arm", arms, EVERY_ARM)
         for seed in (self.first_seed, self.first_seed + seeds - 1):
             if seed not in NUMBERED:
                 raise UserError(f"the number of a training is from 0 to {NUMBERED[-1]}, not {seed}")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from experiments.study.design.sheet import sheet
-from experiments.support.errors import UserError, unknown
+from experiments.support.errors import UserError, check_known, unknown
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 
@@ -50,9 +50,8 @@ def env_config(
 
 def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
     """The wanted tasks in the grid's order. Raises UserError for a task that does not exist or has no sheet."""
+    check_known("task", wanted, TASKS)
     for task in wanted:
-        if task not in TASKS:
-            raise unknown("task", task, TASKS)
         sheet(task)
     return tuple(task for task in TASKS if task in wanted)
 

@@ -15,7 +15,7 @@ from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.presets import PRESETS
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import UNSEEN
-from experiments.support.errors import UserError, unknown
+from experiments.support.errors import UserError, check_known
 from sumo_env.tasks import TASKS
 
 
@@ -84,8 +84,7 @@ class Asked:
         Raises:
             UserError: there is no such preset, or two options contradict each other.
         """
-        if self.preset not in PRESETS:
-            raise unknown("preset", self.preset, PRESETS)
+        check_known("preset", [self.preset], PRESETS)
         if self.placebo and self.arms:
             raise UserError("--placebo trains control agents alone: leave out --arms")
         given = {field.name: getattr(self, field.name) for field in fields(Asked)}

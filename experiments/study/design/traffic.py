@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from agents.streams import stream
-from experiments.support.errors import unknown
+from experiments.support.errors import check_known
 from sumo_env.config import MEASURED
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.risk import KINDS
@@ -105,8 +105,7 @@ BETWEEN = tuple(name for name in AT_A_DOSE if name not in TRAFFICS)  # doses bet
 
 def traffic_named(name: str) -> Traffic:
     """The traffic of this name. Raises UserError where there is none."""
-    if name not in ALL:
-        raise unknown("traffic", name, ALL)
+    check_known("traffic", [name], ALL)
     return ALL[name]
 
 

@@ -18,7 +18,7 @@ from experiments.study.design.arms import (
     scenario_seed,
     training_seed,
 )
-from experiments.study.design.cell import Cell
+from experiments.study.design.cell import Cell, setting_of_agent
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.levels import choose_levels
 from experiments.study.design.options import Asked
@@ -54,6 +54,9 @@ def test_further_arms_tests_and_policies_rename_nothing():
     assert unseen == {unseen_traffics("highway")}
     assert all(c.budget == (0, 0) for c in tests)
     assert "highway-env" in next(c for c in tests if c.runs_on == "highway-env").versions
+    for c in (*more, *cells(learner="sb3-dqn", test_on=("replica",))):
+        of_both = c.kind == "agent" and c.arm in ARMS
+        assert setting_of_agent(c.name) == ("sumo-highway-50" if of_both else ""), c.name
     policies = [{c.policy for c in found if c.kind == "baseline"} for found in (more, usual)]
     assert policies[0] - policies[1] == {"careful-0.1", "careful-0.5", "careful-2", "careful-4"}
 

@@ -19,25 +19,31 @@ LEARNERS_OWN = {"steps", "hidden", "layers"}  # settings that are no arguments o
 
 
 @dataclass(frozen=True)
-class DQNSettings:
-    """Of Stable-Baselines3's DQN; the defaults are those of highway-env's scripts/sb3_highway_dqn.py."""
+class Settings:
+    """What highway-env's scripts/sb3_highway_dqn.py and sb3_highway_ppo.py have in common."""
 
-    algorithm: ClassVar[str] = "DQN"
     packages: ClassVar[tuple[str, ...]] = ("stable-baselines3",)
-    steps: int = 20_000  # environment steps
+    steps: int = 20_000  # environment steps; of PPO rounded up to whole rollouts of n_steps
     hidden: int = 256  # width of the network's layers
     layers: int = 2
     learning_rate: float = 5e-4
     gamma: float = 0.8
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+
+@dataclass(frozen=True)
+class DQNSettings(Settings):
+    """Of Stable-Baselines3's DQN; the defaults are those of scripts/sb3_highway_dqn.py."""
+
+    algorithm: ClassVar[str] = "DQN"
     buffer_size: int = 15_000
     learning_starts: int = 200
     batch_size: int = 32
     train_freq: int = 1
     target_update_interval: int = 50
-    device: str = "cpu"
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
 
     @property
     def updates(self) -> int:
@@ -46,26 +52,16 @@ class DQNSettings:
 
 
 @dataclass(frozen=True)
-class PPOSettings:
-    """Of Stable-Baselines3's PPO; the defaults are those of highway-env's scripts/sb3_highway_ppo.py.
+class PPOSettings(Settings):
+    """Of Stable-Baselines3's PPO; the defaults are those of scripts/sb3_highway_ppo.py.
 
     There six environments make 128 steps each before an update, here one makes all.
     """
 
     algorithm: ClassVar[str] = "PPO"
-    packages: ClassVar[tuple[str, ...]] = ("stable-baselines3",)
-    steps: int = 20_000  # environment steps, rounded up to whole rollouts of n_steps
-    hidden: int = 256  # width of the network's layers
-    layers: int = 2
-    learning_rate: float = 5e-4
-    gamma: float = 0.8
     n_steps: int = 768
     batch_size: int = 64
     n_epochs: int = 10
-    device: str = "cpu"
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
 
     @property
     def updates(self) -> int:

@@ -90,11 +90,6 @@ class Road:
         other = (*index[:2], index[2] + side)
         return other if other in self.lanes and not self.lanes[other].forbidden else None
 
-    def side_lanes(self, index: LaneIndex) -> tuple[LaneIndex, ...]:
-        """The lanes next to this one on the same road, left one first."""
-        start, end, i = index
-        return tuple((start, end, j) for j in (i - 1, i + 1) if 0 <= j < self._counts[start, end])
-
     def route(self, start: str, goal: str) -> tuple[str, ...]:
         """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""
         queue: deque[tuple[str, ...]] = deque([(start,)])

@@ -260,7 +260,7 @@ class RoadNetwork(View):
 
     def side_lanes(self, index: LaneIndex) -> list[LaneIndex]:
         """Lanes beside one, the left one first."""
-        return list(self.road.side_lanes(index))
+        return [lane for lane in self.all_side_lanes(index) if abs(lane[2] - index[2]) == 1]
 
     def all_side_lanes(self, index: LaneIndex) -> list[LaneIndex]:
         """All lanes of the same road."""

@@ -9,6 +9,7 @@ import highway_env.envs as envs
 import numpy as np
 import pytest
 
+from sumo_env.compat.views import RoadNetwork
 from sumo_env.networks import roads
 
 # Our road, and the environment of highway-env that has it, with the arguments and the configuration of its own.
@@ -133,7 +134,7 @@ def test_same_graph(pair):
         for goal in nodes:
             assert ours.route(start, goal) == tuple(theirs.shortest_path(start, goal))
     for index in ours.lanes:
-        assert list(ours.side_lanes(index)) == theirs.side_lanes(index)
+        assert RoadNetwork(road=ours).side_lanes(index) == theirs.side_lanes(index)
         assert ours.count(*index[:2]) == len(theirs.all_side_lanes(index))
 
 

@@ -33,7 +33,7 @@ class OwnSumo(ReadAsHighwayEnv):
 
     _given: Simulator | None
     _simulator: Simulator | None
-    _options: tuple[str, ...]
+    _options: dict[str, str]
     _commands: list[Commands]
     _handed_over = False
     _leader: Self | None = None  # of a further learning car: the first one's, with the scenario of all
@@ -57,8 +57,8 @@ class OwnSumo(ReadAsHighwayEnv):
                 raise ConfigError("output_dir is for networks of your own: take sumo_options")
         elif output_dir is not None:
             check_outputs(self.task.outputs)
-            outputs = [f"--{name}={value}" for name, value in self.task.outputs]
-            self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
+            folder = str(Path(output_dir).resolve())
+            self._options = {**dict(self.task.outputs), **self._options, OUTPUT_DIR: folder}
         elif self.task.outputs:
             names = ", ".join(name for name, _ in self.task.outputs)
             gym.logger.warn("%s", f"{self.task.net}: outputs are off ({names}); output_dir=... writes them")
@@ -79,9 +79,9 @@ class OwnSumo(ReadAsHighwayEnv):
                 simulator = SumoProcess()
             if scenario.traffic is not None:
                 recorded = Path(temporary) / "fcd.xml"
-                acting = [one for one in self._options if not is_output(one.removeprefix("--").split("=")[0])]
-                acting = [one for one in acting if not one.startswith(OUTPUT_DIR)]
-                simulator = SumoProcess(options=(*acting, f"--fcd-output={recorded}"))
+                acting = {name: value for name, value in self._options.items() if not is_output(name)}
+                acting.pop(OUTPUT_DIR, None)
+                simulator = SumoProcess(options={**acting, "fcd-output": str(recorded)})
             with closing(simulator):
                 scenes = [simulator.reset(scenario)]
                 for commands in self._commands:

@@ -67,16 +67,14 @@ class FileSimulator(SumoSimulator):
 
     def _episode_folder(self) -> Path:
         """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted by `close`."""
-        for option in self._options:
-            if option.startswith(f"{OUTPUT_DIR}="):
-                if not self._folder:
-                    parent = Path(option.partition("=")[2])
-                    parent.mkdir(parents=True, exist_ok=True)
-                    self._folder = tempfile.mkdtemp(prefix="environment-", dir=parent)
-                self._episodes += 1
-                folder = Path(self._folder) / f"episode-{self._episodes}"
-                folder.mkdir()
-                return folder
+        if parent := self._options.get(OUTPUT_DIR):
+            if not self._folder:
+                Path(parent).mkdir(parents=True, exist_ok=True)
+                self._folder = tempfile.mkdtemp(prefix="environment-", dir=parent)
+            self._episodes += 1
+            folder = Path(self._folder) / f"episode-{self._episodes}"
+            folder.mkdir()
+            return folder
         self._unwanted = own_folder() / "outputs"
         self._unwanted.mkdir(exist_ok=True)
         return self._unwanted

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, ClassVar, NoReturn, TypeVar
 
@@ -68,7 +68,7 @@ class SumoProcess:
     timeout: float | None = TIMEOUT  # [s] to wait for an answer of the worker
 
     def __init__(
-        self, simulator: str = "", options: tuple[str, ...] = (), here: bool = False, live: bool = False
+        self, simulator: str = "", options: Mapping[str, str] = {}, here: bool = False, live: bool = False
     ) -> None:
         self._name, self._options, self._may_be_here = simulator, options, here
         self._live = live
@@ -109,7 +109,7 @@ class SumoProcess:
             if self._may_be_here and not self._live and not here and name == FILE_SIMULATOR:
                 with suppress(UserWarning):  # where a filter makes errors of warnings
                     warn_once(SEVERAL)
-            options = (LIVE, *self._options) if self._live else self._options
+            options = {LIVE: "true", **self._options} if self._live else self._options
             self._adopt(here or _Worker.start(name, options))
         self._calls = []
         self._episode = f"the reset of {scenario.task} (scenario seed {scenario.seed})"
@@ -251,7 +251,7 @@ class _Here:
         self._simulator = simulator
 
     @classmethod
-    def take(cls, simulator: str, options: tuple[str, ...]) -> _Here | None:
+    def take(cls, simulator: str, options: Mapping[str, str]) -> _Here | None:
         """The simulation if it is free."""
         if not cls._taken.acquire(blocking=False):
             return None
@@ -287,13 +287,14 @@ class _Worker:
         self._socket = ours
 
     @classmethod
-    def start(cls, simulator: str, options: tuple[str, ...]) -> _Worker:
+    def start(cls, simulator: str, options: Mapping[str, str]) -> _Worker:
         """A new process."""
         # The worker imports what this process would import. PYTHONPATH cannot have a colon in a name.
         path = [entry for entry in sys.path if isinstance(entry, str)]  # Python skips others
         begin = f"import sys; sys.path[:] = {path!r}; from sumo_env.sumo.worker import main; main()"
         program = [pipe.interpreter(), "-c", begin]
-        child, ours = pipe.start(program, [simulator, *options], {**os.environ, **SINGLE_THREAD})
+        arguments = [simulator, *(f"{name}={value}" for name, value in options.items())]
+        child, ours = pipe.start(program, arguments, {**os.environ, **SINGLE_THREAD})
         return cls(child.pid, ours, child)
 
     def fork(self, timeout: float | None) -> _Worker:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -51,7 +51,7 @@ def placed_settings(
     routes: Iterable[tuple[str, tuple[str, ...]]],
     step_length: float,
     vehicle_types: Iterable[tuple[str, Mapping[str, str]]],
-    further: Sequence[str] = (),
+    further: Mapping[str, str],
 ) -> Settings:
     """Settings for vehicles that this package places itself.
 
@@ -60,7 +60,7 @@ def placed_settings(
         routes: (id, edges) of each.
         step_length: [s].
         vehicle_types: (id, attributes of SUMO's vType) of each.
-        further: options of SUMO, as ``--name=value``.
+        further: options of SUMO.
     """
     root = ElementTree.Element("additional")
     for name, attributes in vehicle_types:
@@ -78,27 +78,27 @@ def placed_settings(
         **UNCHECKED,
         **SILENT,
         "seed": "42",  # nobody draws, unless `leaves_traces`
-        **dict(option.removeprefix("--").split("=", 1) for option in further),
+        **further,
     }
     return Settings(step_length, options, ElementTree.tostring(root, "unicode"))
 
 
-def file_settings(scenario: Scenario, further: Sequence[str] = (), outputs: Path | None = None) -> Settings:
+def file_settings(scenario: Scenario, further: Mapping[str, str], outputs: Path | None = None) -> Settings:
     """Settings for traffic of SUMO's files, with the seed of the scenario.
 
     Args:
         scenario: with `traffic`.
-        further: options of SUMO that a user adds, as ``--name=value``.
+        further: options of SUMO that a user adds.
         outputs: folder into which SUMO writes all its files, those of detectors in additional files included; by
             default they are where files and options say.
     """
     assert scenario.traffic is not None
-    given = dict(option.removeprefix("--").split("=", 1) for option in further)
+    given = dict(further)
     options = {**USUAL, **dict(scenario.traffic.options)}
     added = (options.get("additional-files", ""), given.pop("additional-files", ""))
     if any(added):
         options["additional-files"] = ",".join(filter(None, added))
-    all_are_wanted = given.pop(OUTPUT_DIR.removeprefix("--"), None)
+    all_are_wanted = given.pop(OUTPUT_DIR, None)
     if outputs is not None and not all_are_wanted:  # but those that the user names
         for name, value in given.items():
             if is_output(name) and value not in NO_FILES:

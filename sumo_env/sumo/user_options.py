@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from sumo_env.config import ConfigError
@@ -23,8 +23,8 @@ OF_FILES = (
     *("--insertion-checks", "--sloppy-insert", "--eager-insert", "--emergency-insert"),
     *("--extrapolate-departpos", "--route-steps", "--ignore-route-errors", "--thread-rngs"),
 )
-OUTPUT_DIR = "--output-dir"  # no option of SUMO: the folder for its outputs
-LIVE = "--sumo-gui"  # likewise: that SUMO runs in its own window
+OUTPUT_DIR = "output-dir"  # no option of SUMO: the folder for its outputs
+LIVE = "sumo-gui"  # likewise: that SUMO runs in its own window
 
 
 def check_live(live: str | None) -> bool:
@@ -52,8 +52,8 @@ def check_live(live: str | None) -> bool:
     return True
 
 
-def check_options(options: Sequence[str], of_files: bool) -> tuple[str, ...]:
-    """The options, each as ``--name=value``; they may also be given as ``--name``, ``value``.
+def check_options(options: Sequence[str], of_files: bool) -> dict[str, str]:
+    """The options by their names without dashes; they are given as ``--name=value``, or as ``--name``, ``value``.
 
     of_files: whether SUMO loads the traffic of its own files.
 
@@ -82,20 +82,19 @@ def check_options(options: Sequence[str], of_files: bool) -> tuple[str, ...]:
                 f"SUMO's option {name} has no effect here, where the task places every vehicle, by the seed of "
                 "reset(): it is for SumoDrivingEnv, which drives SUMO's files"
             )
-    return tuple(f"{name}={value}" for name, value in found.items())
+    return {name.removeprefix("--"): value for name, value in found.items()}
 
 
-def check_copyable(options: Sequence[str]) -> None:
+def check_copyable(options: Iterable[str]) -> None:
     """See to it that a simulation with these options can be copied.
 
     Raises:
         TypeError: it writes files, which copies would write as well, or it runs in several threads.
     """
-    for option in options:
-        name = option.partition("=")[0]
-        writes = "output" in name or "log" in name or name.startswith("--save-")
-        if writes or name == "--additional-files" or name.endswith("threads"):
+    for name in options:
+        writes = "output" in name or "log" in name or name.startswith("save-")
+        if writes or name == "additional-files" or name.endswith("threads"):
             raise TypeError(
-                f"an environment with SUMO's option {name} cannot be copied: copies would write to the same files, "
+                f"an environment with SUMO's option --{name} cannot be copied: copies would write to the same files, "
                 "and have none of the threads"
             )

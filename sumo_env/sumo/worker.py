@@ -13,6 +13,7 @@ import signal
 import socket
 import sys
 import traceback
+from collections.abc import Mapping
 from contextlib import suppress
 from pkgutil import resolve_name
 from typing import Any
@@ -22,13 +23,13 @@ from sumo_env.sumo.pipe import FORKS, connect, receive, send
 from sumo_env.traffic.sumo_files import delete_own_folder
 
 
-def make(name: str, options: tuple[str, ...]) -> Any:
+def make(name: str, options: Mapping[str, str]) -> Any:
     """A simulator of the class ``module:name``."""
     simulator = resolve_name(name)
     return simulator(options=options) if options else simulator()
 
 
-def serve(link: socket.socket, name: str, options: tuple[str, ...]) -> None:
+def serve(link: socket.socket, name: str, options: Mapping[str, str]) -> None:
     """Answer requests on a socket until the client has closed its end, or has died."""
     simulator, is_copy = None, False
     with suppress(EOFError, OSError):
@@ -73,7 +74,7 @@ def main() -> None:
     if FORKS:
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for copies; the system clears them away
     link, name, *options = sys.argv[1:]
-    serve(connect(link), name, tuple(options))
+    serve(connect(link), name, dict(option.split("=", 1) for option in options))
     delete_own_folder()
     sys.stdout.flush()
     os._exit(0)  # SUMO has nothing to save, and taking down its modules takes time

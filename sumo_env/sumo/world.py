@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -44,9 +44,9 @@ class SumoSimulator:
         options: further options of SUMO, as of `check_options`; `LIVE` for its own window.
     """
 
-    def __init__(self, options: tuple[str, ...] = ()) -> None:
+    def __init__(self, options: Mapping[str, str] = {}) -> None:
         self._session = Session(window() if LIVE in options else LIBSUMO)
-        self._options = tuple(option for option in options if option != LIVE)
+        self._options = {name: value for name, value in options.items() if name != LIVE}
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._kept: dict[str, Driver] = {}  # those of them that stay loaded
         self._pools: tuple[DriverPool, ...] = ()  # of the episode before
@@ -71,9 +71,10 @@ class SumoSimulator:
                 self._check_window(error)
                 refusal = error
         files = "" if scenario.traffic is None else f" of {scenario.net}"
+        options = " ".join(f"--{name}={value}" for name, value in self._options.items())
         raise SimulatorError(
             f"SUMO cannot begin this episode{files} ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it "
-            f"says is above; its options are {' '.join(self._options) or 'none'}"
+            f"says is above; its options are {options or 'none'}"
         ) from refusal
 
     def step(self, commands: Commands, trace: bool = False) -> Step:

@@ -246,7 +246,7 @@ FOR_FILES = (
     "--default.action-step-length=1",
     "--random",
 )
-NO_COPIES = ("--threads=2", "--fcd-output=x", "--save-state.times=1", "--additional-files=x")
+NO_COPIES = ("threads", "fcd-output", "save-state.times", "additional-files")
 fleet = partial(partial, sumo_env.parallel_env)
 replica, batch = partial(gym.make, "replica/roundabout-v0"), partial(gym.make_vec, "replica/highway-v0", 2)
 CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [

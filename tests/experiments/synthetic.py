@@ -85,7 +85,8 @@ def episodes(cell: Cell, effect: float, spread: float, purpose: str = "test") ->
         tables.append(table)
     columns = {name: np.concatenate([table[name] for table in tables]) for name in COLUMNS}
     index = np.concatenate([np.arange(n)] * len(tables))
-    return pd.DataFrame(columns, index).astype(COLUMNS)
+    found = pd.DataFrame(columns, index)
+    return found.astype({name: kind for name, kind in COLUMNS.items() if found.dtypes[name] != kind})
 
 
 def learner(cell: Cell, diverged: bool) -> dict[str, Any]:

@@ -16,10 +16,11 @@ from experiments.study.design.traffic import traffic_named
 from sumo_env.benchmark import QUICK, SETTINGS, SIZE, TRAFFICS, BenchmarkScenario, digest, stored
 from sumo_env.config import ConfigError
 from sumo_env.traffic.scenario import Scenario
+from tests.sumo_env.sumo.fake import FakeSimulator
 
 
-def environment(of: BenchmarkScenario) -> closing[gym.Env[Any, Any]]:
-    return closing(gym.make(of.id, config=of.config))
+def environment(of: BenchmarkScenario, simulator: Any = None) -> closing[gym.Env[Any, Any]]:
+    return closing(gym.make(of.id, config=of.config, simulator=simulator))
 
 
 def drawn(env: Any, one: BenchmarkScenario) -> Scenario:
@@ -29,11 +30,15 @@ def drawn(env: Any, one: BenchmarkScenario) -> Scenario:
 
 @pytest.mark.slow
 def test_the_scenarios_are_those_that_were_frozen() -> None:
-    """All settings and traffics; that the further ones are, too, every evaluation of all of them says."""
+    """All settings and traffics; that the further ones are, too, every evaluation of all of them says.
+
+    What is drawn does not depend on the simulator, which is SUMO for the last setting alone.
+    """
     groups = 0
     for _, setting in groupby(sumo_env.benchmark_scenarios(quick=True), lambda one: (one.task, one.level)):
         scenarios = list(setting)
-        with environment(scenarios[0]) as env:
+        last = scenarios[0].group.startswith("u-turn-12-")
+        with environment(scenarios[0], None if last else FakeSimulator()) as env:
             for group, own in groupby(scenarios, lambda one: one.group):
                 assert digest([drawn(env, one) for one in own]) == stored(group, quick=True), group
                 groups += 1

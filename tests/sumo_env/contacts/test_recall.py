@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -50,10 +50,10 @@ class Truth:
 
     def see(self, before: Scene, after: Scene) -> None:
         """Measure one sub-step."""
-        for i, j in combinations(range(len(after)), 2):
+        apart = np.hypot(after.x[:, None] - after.x, after.y[:, None] - after.y)
+        for i, j in np.argwhere(np.triu(apart <= REACH, 1)):
             first, second = after.ids[i], after.ids[j]
-            apart = math.hypot(after.x[i] - after.x[j], after.y[i] - after.y[j])
-            if apart > REACH or not {first, second} <= set(before.ids):
+            if not {first, second} <= set(before.ids):
                 continue
             gaps = shapely.distance(*(polygons(*way(before, after, name).T) for name in (first, second)))
             if i == 0:

@@ -56,12 +56,27 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert (tmp_path / "episode" / "episode.sumocfg").is_file()
 
 
+# A script with its options, where PPO's first rollout is short and two of all constant actions are tried.
+SHORT = """
+import runpy, sys
+from pathlib import Path
+sys.argv = sys.argv[1:]
+sys.path.insert(0, str(Path(sys.argv[0]).parent))
+import train
+every = train.constants
+train.SETTINGS["PPO"] |= {"n_steps": 20, "batch_size": 20}
+train.constants = lambda *given: dict([*every(*given).items()][::len(every(*given)) - 1])
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_scenario_is_short_and_can_be_trained(name: str, tmp_path: Path) -> None:
     script = SCENARIOS / f"{name}.py"
     assert len(script.read_text(encoding="utf-8").splitlines()) <= 40
     assert (SCENARIOS / "networks" / f"{name}.net.xml").is_file()
-    python_again(script, "--steps", "20", "--episodes", "2", "--picture", "a.png", cwd=tmp_path)
+    options = "--steps", "20", "--episodes", "2", "--picture", "a.png"
+    python_again("-c", SHORT, script, *options, cwd=tmp_path)
     rows = json.loads((tmp_path / "results.json").read_text())
     assert rows[name]["episodes"] == 2 and (tmp_path / "a.png").is_file()
 

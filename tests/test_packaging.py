@@ -22,11 +22,16 @@ SCRIPT = """
 import gymnasium as gym
 import sumo_env
 for id in sumo_env.IDS:
-    first, second = gym.make(id), gym.make(id)  # one in this process, one in a worker
-    for env in (first, second):
-        env.reset(seed=0)
-        env.step(1)
-        env.close()
+    env = gym.make(id)
+    env.reset(seed=0)
+    env.step(1)
+    env.close()
+envs = gym.make(id), gym.make(id)  # one in this process, one in a worker
+for env in envs:
+    env.reset(seed=0)
+    env.step(1)
+for env in envs:
+    env.close()
 print(sumo_env.__file__)
 """
 
@@ -35,8 +40,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The checkout, copied: a build leaves its files there."""
-    hidden = shutil.ignore_patterns(".*")
+    """The checkout, copied without results: a build leaves its files there."""
+    hidden = shutil.ignore_patterns(".*", "results")
     return shutil.copytree(ROOT, tmp_path_factory.mktemp("copy") / "source", symlinks=True, ignore=hidden)
 
 

@@ -51,7 +51,7 @@ def test_a_dose_does_what_it_shall(sumo, reference, good) -> None:
 def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path, monkeypatch, here) -> None:
     monkeypatch.setattr(calibrate, "HIGHWAY_ENV", Engine(REFERENCE, "sumo"))  # both sides are quick
     monkeypatch.setattr(calibrate, "DOSES", calibrate.DOSES[::2])
-    options = calibrate.Options(tmp_path, tasks=("u-turn",), trials=2, scenarios=2, workers=1)
+    options = calibrate.Options(tmp_path, tasks=("u-turn",), trials=2, scenarios=1, workers=1)
     result = calibrate.calibrate(options)
     assert json.loads((tmp_path / "calibration.json").read_text()) == result
     for part in ("drivers", "risk"):

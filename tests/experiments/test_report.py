@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from experiments import report
-from experiments.analysis.analysis import DESCRIPTIVE, analyse, policies
+from experiments.analysis.analysis import DESCRIPTIVE, Analysis, analyse, policies
 from experiments.analysis.effects import ESTIMATE, MEANS, WORKING_COLUMNS, means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting.by_task import both_arms
@@ -67,15 +67,29 @@ def words_alone():
         yield
 
 
+def reported(*directories: Path, **asked) -> list[Analysis]:
+    """Write a report; the analyses that it is made of, one a directory."""
+    made = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "analyse", lambda *given: made.append(analyse(*given)) or made[-1])
+        report.write_report(*directories, **asked)
+    return made
+
+
 @pytest.fixture(scope="module")
 def directory(tmp_path_factory):
     home = tmp_path_factory.mktemp("results")
     levels = {"intersection": (1,), "u-turn": (1, 2)}
     synthetic.write(home, levels, seeds=4, tests=10, diverged="sumo-u-turn-6-control-s0")
-    report.write_report(home)
     return home
 
 
+@pytest.fixture(scope="module")
+def analysis(directory) -> Analysis:
+    return reported(directory)[0]
+
+
+@pytest.mark.usefixtures("analysis")
 class TestReport:
     def test_all_files_are_written(self, directory):
         value = json.loads((directory / "analysis.json").read_text(), parse_constant=pytest.fail)
@@ -84,8 +98,8 @@ class TestReport:
         assert len(table) == 3 * 8 * 2
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(table)
 
-    def test_analysis_json_has_all_frames(self, directory):
-        analysis, value = analyse(load(directory)), json.loads((directory / "analysis.json").read_text())
+    def test_analysis_json_has_all_frames(self, directory, analysis):
+        value = json.loads((directory / "analysis.json").read_text())
         for name in ("means", "claims", "gates", "slopes", "policies", "learner"):
             again = pd.DataFrame(value[name]["rows"], columns=value[name]["columns"])
             again = again.astype(getattr(analysis, name).dtypes)
@@ -118,7 +132,8 @@ class TestAnswer:
     def analysis(self, tmp_path_factory, words_alone):
         home = tmp_path_factory.mktemp("answer")
         synthetic.write(home, {"highway": (1,), "u-turn": (1, 2)}, seeds=6, tests=60, effect=-0.4)
-        return analyse(load(home)), Page(report.write_report(home).read_text()).text, report.answer(home)
+        [found] = reported(home)
+        return found, Page((home / report.REPORT).read_text()).text, report.answer(home)
 
     def test_the_first_sentence_says_what_holds_in_which_task(self, analysis):
         found, page, text = analysis
@@ -153,23 +168,22 @@ def test_folders_side_by_side_are_compared_in_the_settings_of_all(tmp_path):
     own, other = tmp_path / "own", tmp_path / "other"
     synthetic.write(own, {"highway": (1, 2), "u-turn": (1,)}, seeds=3, tests=10)
     synthetic.write(other, {"highway": (1,), "u-turn": (1,)}, seeds=3, tests=10, backend="replica")
-    text = Page(report.write_report(own, other).read_text()).text
-    elsewhere = main(analyse(load(other)).means, "replica").query(
-        "scope == 'all tasks' and outcome == 'crashed'"
-    )
-    both = analyse(load(own)).effects.query("level == 1 and outcome == 'crashed' and arm == 'treatment'")
+    ours, theirs = reported(own, other)
+    text = Page((own / report.REPORT).read_text()).text
+    elsewhere = main(theirs.means, "replica").query("scope == 'all tasks' and outcome == 'crashed'")
+    both = ours.effects.query("level == 1 and outcome == 'crashed' and arm == 'treatment'")
     for term in ("risky", "regular"):
         [there] = elsewhere[elsewhere["term"] == term].to_dict("records")
         alone = means(main(both[both["term"] == term], "sumo")).query("scope == 'all tasks'")
         assert difference(there) in text and difference(alone.iloc[0]) in text
 
 
+@pytest.mark.usefixtures("words_alone")
 def test_numbers_are_numbers_also_where_there_is_one_seed(tmp_path):
     """Empty frames among those that are put together would make objects of them, whose 0 / 0 is an error."""
     synthetic.write(tmp_path / "own", {"u-turn": (1,)}, seeds=1, tests=4)
     synthetic.write(tmp_path / "other", {"u-turn": (1,)}, seeds=1, tests=4, backend="replica")
-    report.write_report(tmp_path / "own", tmp_path / "other")
-    effects = analyse(load(tmp_path / "own")).effects
+    effects = reported(tmp_path / "own", tmp_path / "other")[0].effects
     assert {effects[name].dtype.kind for name in (*ESTIMATE[:-1], *MEANS, *WORKING_COLUMNS)} == set("fi")
 
 
@@ -240,7 +254,7 @@ def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
     synthetic.write(tmp_path, {"u-turn": (1,)}, tests=6)
     before = analyse(load(tmp_path))
     name, outcome = report.own_outcome(f"{tmp_path}/mine.py:waiting")
-    after = analyse(load(tmp_path), {name: outcome})
+    [after] = reported(tmp_path, own={name: outcome})
     own = after.effects[after.effects["outcome"] == "waiting"]
     assert len(own) and set(own["family"]) == {""}
     assert set(own["status"]) & {"ok", "degenerate"}
@@ -252,7 +266,6 @@ def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
     assert "waiting" in set(after.means["outcome"]) and "waiting" in after.policies
     again = analyse(load(tmp_path))
     pd.testing.assert_frame_equal(again.effects, before.effects)
-    report.write_report(tmp_path, own={name: outcome})
     for page in (report.REPORT, report.TEXT):
         assert "Time at a standstill share" in (tmp_path / page).read_text()
 

@@ -72,10 +72,7 @@ def published(tmp_path: Path) -> Path:
         **{"config": {}, "network": "attention", "observations": [4, 5], "actions": 5, "time_observed": 0},
         **{"regular": drives, "risky": drives},
     }
-    stored = {
-        "u-turn-3/mixed": (about, Greedy(network())),
-        "u-turn-3/control": (about, Greedy(network(1))),
-    }
+    stored = {"u-turn-3/mixed": (about, Greedy(network())), "u-turn-3/control": (about, Greedy(network(1)))}
     pretrained.save(stored, tmp_path / "agents.npz")
     return tmp_path / "agents.npz"
 

@@ -79,11 +79,7 @@ needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a C
 
 @pytest.mark.parametrize(
     ("network", "device"),
-    [
-        ("Noisy", "cpu"),
-        ("by hand", "cpu"),
-        pytest.param("Small", "cuda", marks=needs_cuda),
-    ],
+    [("Noisy", "cpu"), ("by hand", "cpu"), pytest.param("Small", "cuda", marks=needs_cuda)],
 )
 def test_a_training_gives_the_same_bits_again(network: str, device: str) -> None:
     """With a replay memory that wraps; of all learners, also after one that was killed: test_learners.py."""

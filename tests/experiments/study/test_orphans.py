@@ -84,7 +84,4 @@ def test_a_stopped_run_says_how_to_go_on_and_leaves_no_process(tmp_path: Path, n
 
 
 def test_experiments_can_be_imported_without_fcntl() -> None:
-    python(
-        "-c",
-        "import sys; sys.modules['fcntl'] = None; import experiments.sweep",
-    )
+    python("-c", "import sys; sys.modules['fcntl'] = None; import experiments.sweep")

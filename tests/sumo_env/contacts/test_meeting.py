@@ -77,10 +77,7 @@ JUNCTION = (
 )
 STRETCHED = nodes("w 0 0 0, e 400 0 0"), edges('we length="1600"')
 HILL = nodes("w 0 0 0, m 200 0 20, e 400 0 0"), edges("wm", "me")
-MERGE = (
-    nodes("w 0 0 0, s 40 -90 0, m 200 0 0, e 400 0 0"),
-    edges("wm", "sm", "me"),
-)
+MERGE = (nodes("w 0 0 0, s 40 -90 0, m 200 0 0, e 400 0 0"), edges("wm", "sm", "me"))
 NARROW = (  # a ramp that is drawn over the main road for some hundred metres
     nodes("w 0 0 0, s 0 -9 0, m 300 0 0, e 400 0 0"),
     edges("wm", "sm", "me"),
@@ -306,11 +303,7 @@ def test_of_a_vehicle_of_several_parts_the_parts_behind_follow_the_road(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A long bus turns right while the ego drives past on its left; its outline in one piece would swing out."""
-    plan = (
-        "a 0 0,b 200 0,c 400 0,d 200 -200",
-        "ab a b 2 14,bc b c 1 14,bd b d 1 14",
-        "ab 0 bd 0,ab 1 bc 0",
-    )
+    plan = ("a 0 0,b 200 0,c 400 0,d 200 -200", "ab a b 2 14,bc b c 1 14,bd b d 1 14", "ab 0 bd 0,ab 1 bc 0")
     net = build(tmp_path, plan)
     bus = '<vType id="bus" vClass="bus" guiShape="bus/flexible" length="18"/>'
     bus += (

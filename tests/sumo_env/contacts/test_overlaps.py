@@ -82,10 +82,7 @@ def test_a_lane_change_that_sumo_makes_at_once_sweeps_nothing(
         env.step(IDLE)
         info = env.step(RIGHT)[-1]
         assert env.sumo.vehicle.getLaneID("ego") == "ab_0"
-        assert (info["crash"].get("detected_by"), info["crashed"]) == (
-            ("both" if crashes else None),
-            crashes,
-        )
+        assert (info["crash"].get("detected_by"), info["crashed"]) == (("both" if crashes else None), crashes)
 
 
 def test_in_the_sublane_model_a_vehicle_is_as_its_lane_is(tmp_path: Path) -> None:

@@ -136,8 +136,7 @@ def flat(value: Any) -> list[float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("task", "law"),
-    [("u-turn", "linear"), pytest.param("intersection", "standard", marks=pytest.mark.long)],
+    ("task", "law"), [("u-turn", "linear"), pytest.param("intersection", "standard", marks=pytest.mark.long)]
 )
 def test_kernels_as_python_drive_as_compiled_ones_do(task: str, law: str) -> None:
     compiled = json.loads(python("-c", EPISODES, task, law))

@@ -52,8 +52,7 @@ def test_an_offered_lane_change_is_made_within_5_s(tmp_path: Path, options: str,
 
 
 @pytest.mark.parametrize(
-    ("attributes", "most"),
-    [('vClass="bicycle"', 13.9), ('maxSpeed="8"', 8.0), ('vClass="truck"', 36.2)],
+    ("attributes", "most"), [('vClass="bicycle"', 13.9), ('maxSpeed="8"', 8.0), ('vClass="truck"', 36.2)]
 )
 @pytest.mark.parametrize("kind", ["DiscreteMetaAction", "ContinuousAction"])
 def test_the_fastest_speed_of_a_type_holds_for_commands(
@@ -85,10 +84,7 @@ def test_a_car_that_parks_makes_no_progress_and_is_paid_no_more_than_the_way(tmp
     )
     for parks in ("true", "false"):
         stop = f'<stop lane="bc_0" endPos="60" duration="6" parking="{parks}"/>'
-        routes = route_file(
-            tmp_path,
-            f'<vehicle id="ego" depart="0"><route edges="ab bc"/>{stop}</vehicle>',
-        )
+        routes = route_file(tmp_path, f'<vehicle id="ego" depart="0"><route edges="ab bc"/>{stop}</vehicle>')
         both = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
         for config in ({"action": both}, {}):
             settings = {"duration": 120, "policy_frequency": 2, **config}

@@ -15,13 +15,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.config import resolve
 from sumo_env.networks.roads import highway
-from sumo_env.spaces.actions import (
-    NAMES,
-    DiscreteMetaAction,
-    Situation,
-    target_lane,
-    target_speed_index,
-)
+from sumo_env.spaces.actions import NAMES, DiscreteMetaAction, Situation, target_lane, target_speed_index
 from sumo_env.spaces.interface import interface
 from sumo_env.tasks import TASKS
 from tests.tasks import highway_env_task

@@ -76,10 +76,7 @@ MISUSES = {
         RAISES,
     ),
     "step far": ("libsumo.simulationStep(1000.0)", RAISES),
-    "add": (
-        "libsumo.vehicle.add('mine', libsumo.route.getIDList()[0]); libsumo.simulationStep()",
-        EITHER,
-    ),
+    "add": ("libsumo.vehicle.add('mine', libsumo.route.getIDList()[0]); libsumo.simulationStep()", EITHER),
     "subscribe": (
         "libsumo.vehicle.subscribeContext('ego', libsumo.CMD_GET_VEHICLE_VARIABLE, 100.0)",
         ("went on",),

@@ -22,11 +22,7 @@ FORK = (
     "ab 0 bc 0, ab 0 bc 1, bc {} cd 0",
 )
 # Three lanes, of which the right one is closed; the two joints begin in the middle and the left one.
-SHIFTED = (
-    "a 0 0, b 150 0, c 300 0",
-    "ab a b 3 14, bc b c 3 14",
-    "ab 1 bc 0, ab 2 bc 1, ab 2 bc 2",
-)
+SHIFTED = ("a 0 0, b 150 0, c 300 0", "ab a b 3 14, bc b c 3 14", "ab 1 bc 0, ab 2 bc 1, ab 2 bc 2")
 # The right lane of the main road is for bicycles, the left one for buses, which also have a short cut of their own.
 LANES = (
     "a 0 0, b 150 0, c 300 0, d 450 0, n 225 90",

@@ -24,7 +24,7 @@ try:
 except ImportError as error:
     reason = (
         "SUMO is here, but this system cannot load it. It needs about 1 GB of address space (ulimit -v), and on Linux "
-        "libraries that slim containers lack: apt-get install libx11-6 libxext6 libxrender1 libgl1"
+        "libraries that slim systems lack: apt-get install libx11-6 libxext6 libxrender1 libgl1 libatomic1"
         if find_spec("libsumo")
         else "SUMO is missing. Install it with 'pip install libsumo==1.28.0' (the wheel brings SUMO along; no "
         "system-wide SUMO is needed)"

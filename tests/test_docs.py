@@ -8,13 +8,14 @@ import re
 from ast import literal_eval
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import pyarrow.parquet as pq
 import pytest
 
 import sumo_env
-from docs import pages
+from docs import pages, settings
 from docs.pages import filled, page_of, templates
 from experiments.study.design.sheet import GRID
 from sumo_env.config import COMMON, FIXED, WITHOUT_EFFECT
@@ -163,6 +164,24 @@ def test_doses_in_units_of_the_road_are_those_of_the_table() -> None:
     assert [line["traffic"] for line in highway] == ["0", "0.25", "0.5", "0.75", "1", "measured"]
     shown = map(float, pages.road_units("highway", "lane_changes", 2).split(" | "))
     assert list(shown) == pytest.approx([highway[k]["lane_changes"] for k in (0, 4, 5)], abs=0.0051)
+
+
+def test_settings_that_learn_are_those_of_readme_s_script() -> None:
+    """And their rows are complete but for third trainings; the table of the page is held by its template."""
+    script = section(TEXTS[ROOT / "README.md"], "Train")
+    given = re.search(r"DQN\(\s+\"MlpPolicy\",\s+env,(.*?)^\)", script, re.DOTALL | re.MULTILINE)
+    assert given and eval(f"dict({given[1]})") == {**settings.DQN, "seed": 0}
+    assert f"learn({settings.STEPS:_})" in script
+    rows = json.loads(settings.ROWS.read_text(encoding="utf-8"))
+    expected = set()
+    for task, steps in settings.TASKS.items():
+        env: Any = gym.make(f"sumo/{task}-v0").unwrapped
+        assert env.config["duration"] * env.config["policy_frequency"] == steps
+        drivers = (*settings.SEEDS, "random", *env.actions.values())
+        expected |= {f"{task}/{risk}/{driver}" for risk in settings.RISKS for driver in drivers}
+        env.close()
+    third = settings.SEEDS[2]
+    assert rows.keys() | {name for name in expected if name.endswith(f"/{third}")} == expected
 
 
 def test_the_checks_of_the_validation_are_counted() -> None:

@@ -28,6 +28,8 @@ IDS = ["highway-fast-v0", "two-way-v0", "roundabout-v1", "intersection-v2", "u-t
 def test_distances_and_velocities_are_highway_env_s(id: str, beams: dict[str, Any]) -> None:
     """The space, and every sector in every step until a crash or the end; obstacles of the merge included."""
     names = gym.spec(id), gym.spec(f"replica/{id}")
+    theirs: Any
+    ours: Any
     theirs, ours = (gym.make(name, config={"observation": beams}, disable_env_checker=True) for name in names)
     assert theirs.observation_space == ours.observation_space
     filled = np.zeros(theirs.observation_space.shape[0], bool)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,12 @@ import pytest
 from sumo_env.env import SumoDrivingEnv
 from tests.sumo_env.rollout import drive
 
-SUMO = Path(sys.executable).with_name("sumo")  # of the eclipse-sumo wheel
+try:
+    from sumo import SUMO_HOME  # of the eclipse-sumo wheel
+except ImportError:
+    SUMO_HOME = "nowhere"
+
+SUMO = Path(SUMO_HOME) / "bin" / "sumo"  # itself: the script of this name beside Python starts a Python first
 needs_sumo = pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[gui]'")
 QUIET: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
 # Nodes, edges and connections, each as XML or as the values of KINDS with commas between.

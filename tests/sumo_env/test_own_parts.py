@@ -139,7 +139,17 @@ def test_where_lanes_part_that_of_the_ego_decides(
 # -- tasks and drivers -------------------------------------------------------------------------------------
 
 
-class Slalom(Highway):
+class Own(Highway):
+    """It weighs its terms itself, and they may have any name."""
+
+    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+        return {"progress": ego.s / 100.0}
+
+    def reward(self, rewards: dict[str, float], config: Any) -> float:
+        return rewards["progress"]
+
+
+class Slalom(Own):
     """Vehicles of a driver of its own, in turn on the left and on the right."""
 
     name = "slalom"
@@ -153,12 +163,6 @@ class Slalom(Highway):
             place = {"lane": ("0", "1", k % 2), "s": s, "x": s, "y": 4.0 * (k % 2)}
             specs.append(spec._replace(**place, speed=9.0, driver=driver))
         return specs
-
-    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
-        return {"progress": ego.s / 100.0}
-
-    def reward(self, rewards: dict[str, float], config: Any) -> float:
-        return rewards["progress"]
 
 
 @pytest.mark.slow
@@ -248,16 +252,6 @@ class Weightless(Highway):
 
     def rewards(self, ego: Any, config: Any) -> dict[str, float]:
         return {**super().rewards(ego, config), "gap_reward": 1.0, "collision_reward": float("nan")}
-
-
-class Own(Highway):
-    """It weighs its terms itself, and they may have any name."""
-
-    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
-        return {"progress": ego.s / 100.0}
-
-    def reward(self, rewards: dict[str, float], config: Any) -> float:
-        return rewards["progress"]
 
 
 @pytest.mark.parametrize("task", [*TASKS.values(), Own()], ids=lambda task: task.name)

@@ -44,6 +44,11 @@ PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
     "intersection": (2, 3, {}),
     "u-turn": (1, 3, {"scaling": 4.5, "centering_position": [0.35, 0.85]}),
     "merge": (4, 7, {"screen_width": 900, "screen_height": 130, "centering_position": [0.4, 0.5]}),
+    "exit": (
+        3,
+        10,
+        {"screen_width": 900, "screen_height": 200, "scaling": 4.5, "centering_position": [0.4, 0.3]},
+    ),
 }
 SIZE = {"screen_width": 280, "screen_height": 200}
 # task -> configuration of its film

@@ -1,9 +1,9 @@
 """Build SUMO's networks: `python -m sumo_env.networks.build` rewrites them; a test compares their bytes.
 
 For each plan in `sumo_env.networks.plans`, writes the plain XML and runs netconvert on it (of the `eclipse-sumo` wheel,
-which only this module needs). In the result, all lane speeds are overwritten, also inside junctions: netconvert
-limits bends to 8-10 m/s by a comfort rule, while highway-env's vehicles take them at any speed. The header, which
-contains a date and paths of the machine, is dropped, so that building twice gives the same bytes.
+which only this module needs). In the result, all lane speeds of a road with one limit are overwritten, also inside
+junctions: netconvert limits bends to 8-10 m/s by a comfort rule, while highway-env's vehicles take them at any speed.
+The header, which contains a date and paths of the machine, is dropped, so that building twice gives the same bytes.
 """
 
 from __future__ import annotations
@@ -40,8 +40,10 @@ def build(plan: plans.Plan, folder: Path) -> Path:
     if done.returncode or "Warning" in done.stderr:
         raise RuntimeError(f"netconvert on {plan.name}: {done.stderr.strip() or done.stdout.strip()}")
     text = re.sub(r"<!--.*?-->\s*", "", net.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
-    limit = f"{plan.edges[0]['speed']:.4f}"  # on every lane, internal ones included
-    net.write_text(re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{limit}", text), encoding="utf-8")
+    limits = {lane.speed_limit for lane in plan.road.lanes.values()}
+    if len(limits) == 1:  # on every lane, internal ones included; else the plan says them lane by lane
+        text = re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{limits.pop():.4f}", text)
+    net.write_text(text, encoding="utf-8")
     return net
 
 

@@ -126,12 +126,14 @@ def _edge(road: Road, start: str, end: str, before: float, after: float, priorit
     scale = _scale(road, (start, end, 0))  # trimmed by angle, so that the lanes of a bend end side by side
     shape = sample(left, -before * scale, left.length + after * scale, middle)
     way = _way(start, end, n, shape, left.speed_limit, priority)
-    closed: list[Item] = []
+    lanes: list[Item] = []  # what is said of single lanes
     for i in range(n):
+        if (limit := road.lane((start, end, i)).speed_limit) != left.speed_limit:
+            lanes.append({"index": str(n - 1 - i), "speed": limit})
         for side, key in ((-1, "changeLeft"), (1, "changeRight")):
             if 0 <= i + side < n and road.beside((start, end, i), side) is None:
-                closed.append({"index": str(n - 1 - i), key: NOBODY})
-    return {**way, "lane": closed} if closed else way
+                lanes.append({"index": str(n - 1 - i), key: NOBODY})
+    return {**way, "lane": lanes} if lanes else way
 
 
 def bow(start: Point, direction: float, end: Point, end_direction: float) -> Line:
@@ -219,6 +221,13 @@ def _node(road: Road, before: tuple[str, str], branch: tuple[str, str] | None = 
     return _place(
         name, lane.position(lane.length, offset), shape=(left_in, left_out, right_out, *spur, right_in)
     )
+
+
+def _joint(road: Road, way: tuple[str, str], name: str, s: float) -> Item:
+    """A short junction across a road at `s` [m]."""
+    (left_in, right_in), (left_out, right_out) = (_across(road, *way, s + by) for by in (-GAP / 2, GAP / 2))
+    at = road.lane((*way, 0)).position(s, WIDTH * (road.count(*way) - 1) / 2)
+    return _place(name, at, shape=(left_in, left_out, right_out, right_in))
 
 
 def u_turn() -> Plan:
@@ -314,19 +323,12 @@ def merge() -> Plan:
         _edge(road, "j", "k", 100.0, -g),
         _edge(road, "k", "b", -g, -g),
     )
-
-    def across(name: str, s: float) -> Item:
-        """A short junction across the three lanes."""
-        (left_in, right_in), (left_out, right_out) = (_across(road, "b", "c", s + by) for by in (-g, g))
-        at = road.lane(("b", "c", 1)).position(s, 0.0)
-        return _place(name, at, shape=(left_in, left_out, right_out, right_in))
-
     nodes = (
         _place("a", edges[0]["shape"][0], "dead_end"),
         _place("j", edges[3]["shape"][0], "dead_end"),
         _node(road, ("j", "k")),
-        across("b", 0.0),
-        across("c", road.lane(("b", "c", 0)).length + o),
+        _joint(road, ("b", "c"), "b", 0.0),
+        _joint(road, ("b", "c"), "c", road.lane(("b", "c", 0)).length + o),
         _place("d", edges[2]["shape"][-1], "dead_end"),
     )
     joints = [
@@ -338,6 +340,34 @@ def merge() -> Plan:
     return Plan("merge/merge", road, nodes, edges, tuple(joints))
 
 
+def exit_road(lanes_count: int = 6) -> Plan:
+    """Lanes from x = -100 m to 11 km, and an exit whose bend is 200 m longer (half a turn is the most there can be)."""
+    road = roads.exit_road(lanes_count)
+    g = GAP / 2
+    edges = (
+        _edge(road, "0", "1", 100.0, -g),
+        _edge(road, "1", "2", -g, -g),
+        _edge(road, "2", "3", -g, 10_000.0),
+        _edge(road, "2", "exit", -g, 200.0),
+    )
+    nodes = (
+        _place("0", edges[0]["shape"][0], "dead_end"),
+        _joint(road, ("1", "2"), "1", 0.0),
+        _joint(road, ("1", "2"), "2", road.lane(("1", "2", 0)).length),
+        *(_place(edge["to"], edge["shape"][-1], "dead_end") for edge in edges[2:]),
+    )
+    lanes = range(lanes_count)
+    leave = _join(road, ("1", "2", lanes_count), ("2", "exit", 0), (g, g))
+    joints = [_join(road, (a, b, i), (b, c, i), (g, g)) for a, b, c in ("012", "123") for i in lanes]
+    # netconvert's own is the mean of the limits before and behind
+    joints.append({**leave, "speed": road.lane(("2", "exit", 0)).speed_limit})
+    return Plan(f"exit/exit-{lanes_count}", road, nodes, edges, tuple(joints))
+
+
 def all_plans() -> tuple[Plan, ...]:
-    """Every network that is shipped; the highway once for each number of lanes."""
-    return (*map(highway, LANES_COUNTS), two_way(), roundabout(), intersection(), u_turn(), merge())
+    """Every network that is shipped; highway and exit once for each number of lanes."""
+    return (
+        *map(highway, LANES_COUNTS),
+        *(two_way(), roundabout(), intersection(), u_turn(), merge()),
+        *map(exit_road, LANES_COUNTS[1:]),
+    )

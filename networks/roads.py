@@ -1,8 +1,7 @@
 """The roads of the tasks, lane for lane those of highway-env 1.12.1.
 
-A lane is named by highway-env's index (from node, to node, lane id); id 0 is the left lane of a road.
-`Road` answers geometric questions; it holds no vehicles. Where each number comes from: `_make_road` of
-highway_env/envs/*_env.py. In SUMO: `sumo_env.networks.mapping`.
+A lane is named by highway-env's index (from node, to node, lane id); id 0 is the left lane of a road. `Road` answers
+questions of geometry, and has no vehicles. Numbers are those of highway_env/envs/*_env.py. SUMO's: `networks.mapping`.
 """
 
 from __future__ import annotations
@@ -320,7 +319,6 @@ def u_turn() -> Road:
         lanes["b", "c", i] = CircularLane(
             (length, WIDTH + radius), radius + WIDTH * i, math.pi / 2, -math.pi / 2, clockwise=False
         )
-    for i in range(2):
         y = 2 * radius + WIDTH * (1 + i)
         lanes["a", "b", i] = StraightLane((0.0, y), (length, y))
     return Road("u-turn", lanes, ends=("d",), net_file="u_turn/u_turn.net.xml", joined=True)
@@ -357,6 +355,19 @@ def merge() -> Road:
     )
 
 
+@lru_cache(maxsize=8)
+def exit_road(lanes_count: int = 6) -> Road:
+    """Lanes 1 km to the east, lane i with a limit of 26 - 3.4 i m/s; from 400 to 500 m one more, and then a bend."""
+    lanes: dict[LaneIndex, Lane] = {}
+    for start, end, x, to in (("0", "1", 0.0, 400.0), ("1", "2", 400.0, 500.0), ("2", "3", 500.0, 1000.0)):
+        for i in range(lanes_count + (start == "1")):
+            lanes[start, end, i] = StraightLane((x, WIDTH * i), (to, WIDTH * i), speed_limit=26.0 - 3.4 * i)
+    center, phases = (500.0, WIDTH * lanes_count + 150.0), (3 * math.pi / 2, 2 * math.pi)
+    lanes["2", "exit", 0] = CircularLane(center, 150.0, *phases, forbidden=True)
+    arguments, net_file = (("lanes_count", lanes_count),), f"exit/exit-{lanes_count}.net.xml"
+    return Road("exit", lanes, arguments, ends=("3", "exit"), net_file=net_file, joined=True)
+
+
 ROADS: Mapping[str, Callable[..., Road]] = {
     "highway": highway,
     "two-way": two_way,
@@ -364,6 +375,7 @@ ROADS: Mapping[str, Callable[..., Road]] = {
     "intersection": intersection,
     "u-turn": u_turn,
     "merge": merge,
+    "exit": exit_road,
 }
 
 
@@ -373,7 +385,7 @@ def is_shipped(road: Road) -> bool:
 
 
 def road(name: str, **arguments: float) -> Road:
-    """The road of this name; the highway has a `lanes_count`, the two-way road a `road_length` [m].
+    """The road of this name; highway and exit have a `lanes_count`, the two-way road a `road_length` [m].
 
     Raises:
         ValueError: unknown name, or an argument that makes no road.

@@ -66,6 +66,7 @@ KINEMATICS: Config = {
     "include_obstacles": True,
     "flatten": False,
 }
+EXIT: Config = {**KINEMATICS, "type": "ExitObservation"}
 OCCUPANCY_GRID: Config = {
     "type": "OccupancyGrid",
     "features": None,
@@ -89,7 +90,7 @@ GRAYSCALE: Config = {
 LIDAR: Config = {"type": "LidarObservation", "cells": 16, "maximum_range": 60.0, "normalize": True}  # [m]
 LEADERS_FOLLOWERS: Config = {"type": "LeadersFollowers", "features": None, "normalize": True}
 TYPES: dict[str, tuple[Config, ...]] = {
-    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID, GRAYSCALE, LIDAR, LEADERS_FOLLOWERS),
+    "observation": (KINEMATICS, EXIT, TIME_TO_COLLISION, OCCUPANCY_GRID, GRAYSCALE, LIDAR, LEADERS_FOLLOWERS),
     "action": ({**DISCRETE_META_ACTION, "target_speeds": None}, CONTINUOUS_ACTION, DISCRETE_ACTION),
 }
 # Largest values. More vehicles, metres or seconds take all memory or all time, and SUMO's clock counts milliseconds.
@@ -137,7 +138,7 @@ FIXED: dict[str, tuple[Any, str]] = {
 }
 # Tasks whose configurations are highway-env's. Keys of its other environments and versions, and of our other tasks, are
 # ignored there with a warning, as highway-env does; so are unknown keys of its observations and actions.
-HIGHWAY_ENVS = ("highway", "two-way", "roundabout", "intersection", "u-turn", "merge")
+HIGHWAY_ENVS = ("highway", "two-way", "roundabout", "intersection", "u-turn", "merge", "exit")
 IGNORED = {
     "action_reward", "add_walls", "after_merge_length", "arrived_reward", "before_merge_length", "block_lane",
     "converge_merge_length", "derivative_noise", "destination", "ego_spacing", "force_decision", "goal_reward",

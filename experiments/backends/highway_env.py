@@ -6,7 +6,7 @@ alike, the time limit and ``info``.
 
 The configuration is that of `sumo_env`, with ``simulation_frequency`` 15 as in highway-env and two keys more.
 ``risk_law`` says who is risky: "standard", as in `sumo_env`, or "linear", see `sumo_env.replica.linear`. ``variant``
-says how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the others have no joins):
+says how far drivers see beyond the end of their lane (the highway and the two-way road have no joins):
 
     "v0"         not at all (roundabout-v0, intersection-v0, u-turn-v0);
     "connected"  onto the next lanes, distances projected (roundabout-v1, intersection-v2, u-turn-v1);
@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
-from highway_env.envs import HighwayEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
+from highway_env import envs
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.kinematics import Vehicle
@@ -63,8 +63,7 @@ FIXED: Config = {
 class ScenarioEnv(AbstractEnv):
     """What all have in common; always mixed into highway-env's environment of a task.
 
-    Attributes as `sumo_env.env.DrivingEnv`: config, task, actions, target_speeds, observation_type (highway-env's,
-    with `ranges` added), scenario, scene.
+    Attributes as `sumo_env.env.DrivingEnv`; observation_type is highway-env's, with `ranges` added.
     """
 
     task: ClassVar[Task]
@@ -76,7 +75,7 @@ class ScenarioEnv(AbstractEnv):
     @classmethod
     def default_config(cls) -> Config:
         """Every key with its default."""
-        own = {**cls.task.defaults, "simulation_frequency": 15, "variant": "path", "risk_law": LAWS[0]}
+        own = {"simulation_frequency": 15, **cls.task.defaults, "variant": "path", "risk_law": LAWS[0]}
         return resolve(cls.task.name, own)
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
@@ -89,11 +88,11 @@ class ScenarioEnv(AbstractEnv):
         variant = one_of("'variant'", chosen["variant"], VARIANTS)
         one_of("risk_law", chosen["risk_law"], LAWS)
         self._offered = interface(self.task, chosen, steers=True)
-        if not self._offered.action_type.names:
-            raise ConfigError(
-                f"action type {chosen['action']['type']!r}: here it can only be 'DiscreteMetaAction'"
-            )
         kind = self._offered.action_type
+        if not kind.names:
+            raise ConfigError(
+                f"action type {chosen['action']['type']!r}: it can only be 'DiscreteMetaAction'"
+            )
         self.actions, self.target_speeds = kind.names, kind.target_speeds
         # target speeds that are not given are the task's, as in `sumo_env`; in highway-env it would be the highway's
         chosen["action"] = {**chosen["action"], "target_speeds": list(self.target_speeds)}
@@ -149,11 +148,9 @@ class ScenarioEnv(AbstractEnv):
         before, last = self._motion if self.steps else (speed, 0.0)
         acceleration = (speed - before) * frequency
         self._motion = speed, acceleration
+        met = self.scene, self.crash, self.min_ttc, self.distance
         return {"acceleration": acceleration, "jerk": (acceleration - last) * frequency} | information(
-            self.scene,
-            self.crash,
-            self.min_ttc,
-            self.distance,
+            *met,
             arrived=self._arrived(),
             on_road=self.vehicle.on_road,
             rewards=self._rewards(action),
@@ -163,7 +160,7 @@ class ScenarioEnv(AbstractEnv):
 
     def _ending(self) -> str:
         """As `sumo_env.spaces.info.ending`."""
-        if self.vehicle.crashed or self._arrived():
+        if self.vehicle.crashed or (self._arrived() and self._is_terminated()):
             return "crash" if self.vehicle.crashed else "arrived"
         return "time" if self.steps and self._is_truncated() else ""
 
@@ -207,9 +204,8 @@ class ScenarioEnv(AbstractEnv):
             self._let_in(0)
             place = np.array([spec.x, spec.y])
             vehicles = [v for v in self.road.vehicles if np.linalg.norm(v.position - place) >= EGO_DISTANCE]
-        ego = self.action_type.vehicle_class(
-            self.road, [spec.x, spec.y], heading=spec.heading, speed=spec.speed
-        )
+        made = self.action_type.vehicle_class
+        ego = made(self.road, [spec.x, spec.y], heading=spec.heading, speed=spec.speed)
         ego.id = EGO
         if spec.destination is not None:
             ego.plan_route_to(spec.destination)
@@ -311,32 +307,29 @@ class ScenarioEnv(AbstractEnv):
             self.min_ttc = min(self.min_ttc, measures.ego_ttc(ego, near))
         elif self.crash is None:
             # highway-env says that the ego crashed, not with whom: with the nearest of the wrecks
-            other = min(range(1, len(scene)), key=lambda row: (not scene.crashed[row], self._gap(row)))
+            gaps = [separation(state_of(scene, 0), state_of(scene, row)) for row in range(len(scene))]
+            other = min(range(1, len(scene)), key=lambda row: (not scene.crashed[row], gaps[row]))
             self.crash = crash_record(scene, other, "highway-env")
-
-    def _gap(self, row: int) -> float:
-        return separation(state_of(self.scene, 0), state_of(self.scene, row))
 
     def _scene(self) -> Scene:
         ego = self.vehicle
         vehicles: list[Any] = [ego, *(v for v in self.road.vehicles if v is not ego), *self.road.objects]
         x, y = np.array([vehicle.position for vehicle in vehicles]).T.copy()
-        speed, heading = (
-            np.array([float(getattr(v, name)) for v in vehicles]) for name in ("speed", "heading")
-        )
+        speed = np.array([float(vehicle.speed) for vehicle in vehicles])
+        heading = np.array([float(vehicle.heading) for vehicle in vehicles])
         crashed = np.array([bool(vehicle.crashed) for vehicle in vehicles])
         time = round(self.steps / self.config["simulation_frequency"], 6)
         sizes = {box.id: OBSTACLE_SIZE for box in self.road.objects}
         return Scene(tuple(v.id for v in vehicles), x, y, speed, heading, crashed, time, sizes=sizes)
 
 
-class HighwayScenario(ScenarioEnv, HighwayEnv):
+class HighwayScenario(ScenarioEnv, envs.HighwayEnv):
     """highway-v0."""
 
     task = TASKS["highway"]
 
 
-class TwoWayScenario(ScenarioEnv, TwoWayEnv):
+class TwoWayScenario(ScenarioEnv, envs.TwoWayEnv):
     """two-way-v0, of any length."""
 
     task = TASKS["two-way"]
@@ -351,19 +344,19 @@ class TwoWayScenario(ScenarioEnv, TwoWayEnv):
             vehicle.swerve(oncoming)
 
 
-class RoundaboutScenario(ScenarioEnv, RoundaboutEnv):
+class RoundaboutScenario(ScenarioEnv, envs.RoundaboutEnv):
     """roundabout-v0 and -v1."""
 
     task = TASKS["roundabout"]
 
 
-class UTurnScenario(ScenarioEnv, UTurnEnv):
+class UTurnScenario(ScenarioEnv, envs.UTurnEnv):
     """u-turn-v0 and -v1."""
 
     task = TASKS["u-turn"]
 
 
-class MergeScenario(ScenarioEnv, MergeEnv):
+class MergeScenario(ScenarioEnv, envs.MergeEnv):
     """merge-v0 and -v1."""
 
     task = TASKS["merge"]
@@ -372,7 +365,14 @@ class MergeScenario(ScenarioEnv, MergeEnv):
         return bool(self.vehicle.position[0] > 370)
 
 
-class IntersectionScenario(ScenarioEnv, IntersectionEnv):
+class ExitScenario(ScenarioEnv, envs.ExitEnv):
+    """exit-v0 and -v1."""
+
+    task = TASKS["exit"]
+    _arrived = envs.ExitEnv._is_success
+
+
+class IntersectionScenario(ScenarioEnv, envs.IntersectionEnv):
     """intersection-v0 and -v2."""
 
     task = TASKS["intersection"]

@@ -41,6 +41,7 @@ THEIRS = {
     **dict.fromkeys(("StraightLane", "SineLane", "CircularLane", "PolyLane"), "road.lane"),
     **dict.fromkeys(("DiscreteMetaAction", "ContinuousAction", "DiscreteAction"), "envs.common.action"),
     "Kinematics": "envs.common.observation:KinematicObservation",
+    "ExitObservation": "envs.common.observation",
     "TimeToCollision": "envs.common.observation:TimeToCollisionObservation",
     "OccupancyGrid": "envs.common.observation:OccupancyGridObservation",
     "Lidar": "envs.common.observation:LidarObservation",

@@ -341,6 +341,7 @@ class DrivingEnv(OnScreen, OwnSumo):
             acceleration=acceleration,
             jerk=(acceleration - last.acceleration) * frequency if last else 0.0,
             before=last.scene if last else None,
+            lanes_abreast=self._road.count(*self._target_lane[:2]),
         )
 
     def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:

@@ -6,6 +6,7 @@ from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.tasks import TASKS, get_task
 
 __all__ = [
+    "ExitEnv",
     "HighwayEnv",
     "HighwayEnvFast",
     "IntersectionEnv",
@@ -14,6 +15,12 @@ __all__ = [
     "TwoWayEnv",
     "UTurnEnv",
 ]
+
+
+class ExitEnv(AbstractEnv):
+    """The exit, to be subclassed."""
+
+    task = get_task("exit")
 
 
 class HighwayEnv(AbstractEnv):

@@ -22,6 +22,8 @@ from sumo_env.replica.step import Rules, hold, policy_step, staying
 from sumo_env.spaces.observation import TableForm
 from sumo_env.tasks import TASKS, base
 from sumo_env.tasks.base import Task, lmap
+from sumo_env.tasks.exit import BESIDE
+from sumo_env.tasks.exit import EXIT as LEAVING
 from sumo_env.tasks.intersection import ARRIVAL
 from sumo_env.tasks.merge import PASSED, RAMP_END
 
@@ -30,9 +32,9 @@ AFRESH, NOTHING = -1, -2
 OTHER = 1  # the number of an action of which rewards take no notice
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 PAID = tuple(name for name, task in TASKS.items() if task.versions)  # tasks whose rewards `reward` has
-HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN, MERGE = range(len(PAID))
+HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN, MERGE, EXIT = range(len(PAID))
 LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
-LANE_REWARDS["merge"] = "right_lane_reward"
+LANE_REWARDS |= dict.fromkeys(("merge", "exit"), "right_lane_reward")
 
 OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
     [
@@ -74,7 +76,10 @@ class RewardWeights(NamedTuple):
     lane_change: float
     arrived: float
     held_up: float
-    ramp: int  # the lane where somebody may be held up, or NONE
+    places: tuple[
+        int, int
+    ]  # lanes that count: where somebody may be held up, or the two that are the goal; or NONE
+    is_normalized: bool
     limits: tuple[float, float]  # rewards that become 0 and 1; (0, 1) where rewards are not normalised
     speed_range: tuple[float, float]  # ``reward_speed_range`` [m/s]
     offroad_terminal: bool
@@ -101,15 +106,25 @@ def reward_weights(task: Task, config: Config) -> RewardWeights:
         lane=weight(LANE_REWARDS.get(task.name, "")),
         speed=weight("high_speed_reward"),
         lane_change=weight("lane_change_reward"),
-        arrived=weight("arrived_reward"),
+        arrived=weight("goal_reward" if task.name == "exit" else "arrived_reward"),
         held_up=weight("merging_speed_reward"),
-        ramp=tables.lanes_of(task.road(config), False).numbers.get(RAMP_END, tables.NONE)
-        if task.name == "merge"
-        else tables.NONE,
+        places=_places(task, config),
+        is_normalized=limits is not None,
         limits=(float(low), float(high)),
         speed_range=(float(slow), float(fast)),
-        offroad_terminal=task.name != "u-turn" and bool(config.get("offroad_terminal", False)),
+        offroad_terminal=task.name not in ("u-turn", "exit") and bool(config.get("offroad_terminal", False)),
     )
+
+
+def _places(task: Task, config: Config) -> tuple[int, int]:
+    """See `RewardWeights`."""
+    road = task.road(config)
+    numbers = tables.lanes_of(road, False).numbers
+    if task.name == "merge":
+        return numbers[RAMP_END], tables.NONE
+    if task.name == "exit":
+        return numbers[*BESIDE, road.count(*BESIDE) - 1], numbers[LEAVING]
+    return tables.NONE, tables.NONE
 
 
 class EnvParams(NamedTuple):
@@ -229,7 +244,9 @@ def density(cars: Any) -> int:
 def has_arrived(w: Any, lanes: Any, ego: Any, s: float) -> bool:
     """`Task.arrived`; s: of the ego on its lane [m]."""
     if w.task == MERGE:
-        return lanes[ego.lane].start == lanes[w.ramp].end and s > PASSED
+        return lanes[ego.lane].start == lanes[w.places[0]].end and s > PASSED
+    if w.task == EXIT:
+        return ego.target == w.places[0] or ego.target == w.places[1]
     return lanes[ego.lane].is_exit and s >= ARRIVAL
 
 
@@ -269,7 +286,12 @@ def reward(
         total += w.lane * here
         total += w.speed * lmap(ego.speed, w.speed_range, (0.0, 1.0))
         total += w.lane_change * (action == 0 or action == 2)
-        return lmap(total + w.held_up * held_up(cars, w.ramp), w.limits, (0.0, 1.0))
+        return lmap(total + w.held_up * held_up(cars, w.places[0]), w.limits, (0.0, 1.0))
+    elif w.task == EXIT:
+        total += w.lane * target + w.arrived * arrived
+        total += w.speed * _speed_term(ego.speed, w.speed_range)
+        total = lmap(total, w.limits, (0.0, 1.0))
+        return min(max(total, 0.0), 1.0) if w.is_normalized else total
     return lmap(total, w.limits, (0.0, 1.0)) * on_road
 
 
@@ -290,7 +312,8 @@ def judge_step(params: Any, cars: Any, episode: Any, outcome: Any, action: int) 
         outcome.reward = reward(
             params.weights, params.seen_lanes, cars, action, episode.speed_index, count, on_road, arrived
         )
-        outcome.terminated = ego.crashed or arrived or (params.weights.offroad_terminal and not on_road)
+        ends = arrived and params.weights.task != EXIT
+        outcome.terminated = ego.crashed or ends or (params.weights.offroad_terminal and not on_road)
         outcome.truncated = episode.steps >= params.time_limit
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from sumo_env.config import Config, ConfigError
 from sumo_env.networks.roads import Road
 from sumo_env.replica.tables import as_rotated
 from sumo_env.streams import stream
-from sumo_env.tasks import TASKS, highway, merge, roundabout, u_turn
+from sumo_env.tasks import TASKS, exit, highway, merge, roundabout, u_turn
 from sumo_env.tasks.base import Task, cars_count, make_on_lane, obstacles
 from sumo_env.tasks.intersection import INITIAL_SPAWN_PROBABILITY, Intersection
 from sumo_env.tasks.two_way import ONCOMING, OWN
@@ -46,6 +47,9 @@ def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
     cars = cars_count(config)
     if task.name == "highway":
         ego, vehicles = _highway(config, road, rng)
+    elif task.name == "exit":
+        ego = task.ego(config, road, rng)
+        vehicles = _exit(config, road, ego, rng)
     elif task.name == "intersection":
         vehicles = _intersection(config, road, rng)
         centres = warm_up(exact, vehicles, task.warm_up, frequency)
@@ -153,6 +157,13 @@ def _merge(config: Config, road: Road, rng: Random) -> Vehicles:
     ]
     ramp = road, merge.MERGING, merge.RAMP, 110.0, 20.0, _driver(road)
     return (*vehicles, make_on_lane(*ramp, target_speed=merge.WANTED))
+
+
+def _exit(config: Config, road: Road, ego: VehicleSpec, rng: Random) -> Vehicles:
+    """``ExitEnv._create_vehicles``."""
+    how: dict[str, Any] = {"destination": exit.AHEAD, "changes_lanes": False}
+    drawn = enumerate(exit.places(config, road, ego.s, rng))
+    return tuple(make_on_lane(road, f"v{k}", *place, _driver(road), **how) for k, place in drawn)
 
 
 _OTHERS = {"two-way": _two_way, "roundabout": _roundabout, "u-turn": _u_turn, "merge": _merge}

@@ -60,6 +60,7 @@ VERSIONS: dict[tuple[str, int], Config] = {
     },
     ("intersection", 2): CONNECTED,
     ("merge", 1): CONNECTED,
+    ("exit", 1): CONNECTED,
 }
 # Keys of `sumo_env` that highway-env's task does not have.
 ADDED_KEYS: dict[str, tuple[str, ...]] = {
@@ -89,7 +90,7 @@ class ReplicaEnv(DrivingEnv):
     """
 
     steers = True
-    is_stock, _is_fast, _versioned = True, False, Config()  # of the class, which has no arguments
+    is_stock, _versioned = True, Config()  # of the class, which has no arguments
 
     def __init__(
         self,
@@ -108,8 +109,7 @@ class ReplicaEnv(DrivingEnv):
         self._versioned = VERSIONS.get((str(task), version), {})
         self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
         self._is_linear = one_of("risk_law", risk_law, LAWS) == "linear"
-        self._is_fast = task == "highway-fast"
-        self.replica = Replica(variant, self._is_linear, ego_contacts=self._is_fast)
+        self.replica = Replica(variant, self._is_linear, ego_contacts=task == "highway-fast")
         refuse_arguments(unknown, {**COMMON, **get_task(task).defaults})
         super().__init__(task, config, render_mode, self.replica)
 
@@ -119,13 +119,13 @@ class ReplicaEnv(DrivingEnv):
     def default_config(self) -> Config:
         """Every key with its default."""
         defaults = super().default_config()
-        if not self._is_fast:
+        task = getattr(self, "task", None)  # the class has none
+        if "simulation_frequency" not in getattr(task, "defaults", {}):
             defaults["simulation_frequency"] = STOCK_FREQUENCY
         if self.is_stock:
             defaults["neighbour_vehicles_connected_lanes"] = False
-            name = getattr(getattr(self, "task", None), "name", "")  # the class has no task
-            if name in OBSERVATIONS:
-                defaults["observation"] = dict(OBSERVATIONS[name])
+            if task and task.name in OBSERVATIONS:
+                defaults["observation"] = dict(OBSERVATIONS[task.name])
         return {**defaults, **copy.deepcopy(self._versioned)}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
@@ -223,7 +223,7 @@ class ReplicaEnv(DrivingEnv):
             self._before_ego = self.replica.before_ego()
             return super()._observe()
         table = self.replica.table(self.form)
-        if not self.form.is_sorted:
+        if self.form.is_shuffled:
             self._row_order.shuffle(table[1:])
         return table
 

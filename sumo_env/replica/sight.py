@@ -65,6 +65,8 @@ def observe(lanes: Any, cars: Any, form: Any, result: Any) -> None:
             value = feature(lanes, car, form.features[k])
             if row > 0 and form.relative[k]:
                 value -= feature(lanes, ego, form.features[k])
+            elif row == 0:
+                value -= form.origin[k]
             value = value * form.scale[k] + form.shift[k]
             result[row, k] = min(max(value, form.low[k]), form.high[k])
 

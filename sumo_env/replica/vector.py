@@ -58,7 +58,7 @@ def make(
 def is_compiled(env: ReplicaEnv) -> bool:
     """Whether the kernels compute all that this environment gives; rewards of a task of one's own they do not know."""
     is_known = any(env.task is task for task in (*TASKS.values(), *VARIANTS.values()))
-    return is_known and env.render_mode is None and env.form is not None and env.form.is_sorted
+    return is_known and env.render_mode is None and env.form is not None and not env.form.is_shuffled
 
 
 class ReplicaVectorEnv(VectorEnv):
@@ -305,6 +305,8 @@ class ReplicaVectorEnv(VectorEnv):
             "min_ttc_before_contact": min_ttc,
             "near_miss": (min_ttc < NEAR_MISS_TTC) & ~crashed,
         }
+        if "goal_reward" in self._single.config:  # see `info.information`
+            infos["is_success"] = infos["arrived"]
         if not mask.all():
             infos = {name: _where(mask, values) for name, values in infos.items()}
         return {key: part.copy() for name in infos for key, part in ((name, infos[name]), (f"_{name}", mask))}

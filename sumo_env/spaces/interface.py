@@ -19,7 +19,7 @@ from sumo_env.spaces.actions import ActionType, ContinuousAction, action_type
 from sumo_env.spaces.grayscale import Grayscale
 from sumo_env.spaces.leaders_followers import LeadersFollowers
 from sumo_env.spaces.lidar import Lidar
-from sumo_env.spaces.observation import Kinematics, TimeToCollision
+from sumo_env.spaces.observation import ExitObservation, Kinematics, TimeToCollision
 from sumo_env.spaces.occupancy import OccupancyGrid
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
@@ -63,6 +63,8 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         if isinstance(task, NetworkTask):
             given = {**task.table, **given}
         observation = Kinematics(given, road.count(*task.ego_road), on_its_way=of_network)
+    elif given["type"] == "ExitObservation":
+        observation = ExitObservation(given, road.count(*task.ego_road), road)
     elif given["type"] == "OccupancyGrid":
         observation = OccupancyGrid(given)
     elif given["type"] == "GrayscaleObservation":

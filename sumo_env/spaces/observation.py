@@ -48,6 +48,8 @@ class TableForm(NamedTuple):
     see_behind: bool
     has_obstacles: bool
     is_sorted: bool
+    is_shuffled: bool
+    origin: Any  # what is taken from the ego's own features
 
 
 class Kinematics:
@@ -99,6 +101,8 @@ class Kinematics:
             see_behind=bool(given["see_behind"]),
             has_obstacles=bool(given["include_obstacles"]),
             is_sorted=one_of("order", given["order"], ("sorted", "shuffled")) == "sorted",
+            is_shuffled=given["order"] == "shuffled",
+            origin=np.zeros(columns),
         )
         for column, feature in enumerate(self.features if given["normalize"] else ()):
             if feature in self.ranges:
@@ -137,13 +141,14 @@ class Kinematics:
         values = np.array([columns[feature] for feature in self.features]).T
         form = self.form
         values[1:] -= values[0] * form.relative
+        values[0] -= form.origin
         values *= form.scale
         values += form.shift
         np.maximum(values, form.low, out=values)
         np.minimum(values, form.high, out=values)
         table = np.zeros((form.rows, len(self.features)), np.float32)
         table[: len(rows)] = values
-        if not form.is_sorted:
+        if form.is_shuffled:
             seen.rng.shuffle(table[1:])
         return table
 
@@ -199,6 +204,21 @@ class Kinematics:
         lane = road.lane(road.closest_lane(x, y, heading))
         s, lateral = lane.local_coordinates(x, y)
         return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
+
+
+class ExitObservation(Kinematics):
+    """highway-env's `ExitObservation`: the ego's own x is counted from where the lane begins that leads to the exit."""
+
+    def __init__(self, config: Mapping[str, Any], side_lanes: int, road: Road) -> None:
+        """As `Kinematics`. Raises ConfigError too for a road without the lane that highway-env looks for."""
+        way = "1", "2"
+        if (*way, 0) not in road.lanes:
+            raise ConfigError(f"'ExitObservation' counts the way to an exit: the road {road.name!r} has none")
+        lane = road.lane((*way, road.count(*way) - 1))
+        super().__init__(config, side_lanes)
+        self.form = self.form._replace(is_sorted=True)  # the nearest ones, in whatever order
+        x, _ = lane.position(0.0, 0.0)
+        self.form.origin[:] = [x * (feature == "x") for feature in self.features]
 
 
 def _rotated(x: float, y: float, angle: float) -> tuple[float, float]:

@@ -211,7 +211,7 @@ class Events:
         oncoming = road.oncoming  # then the only lane beside is that of oncoming traffic
         for side in (-1,) if oncoming else (event.direction, -event.direction):
             beside = road.beside(self._network.indices[lane], side)
-            if beside is None or not self._has_room(name, beside):
+            if beside is None or self._leads_off(name, beside) or not self._has_room(name, beside):
                 continue
             if self._asks_for_markings and not self._is_open(name, lane, beside):
                 continue
@@ -219,6 +219,9 @@ class Events:
             if oncoming:
                 session.vehicle.changeLaneRelative(name, 1, 0.0)
             else:
+                limits = {road.lane(index).speed_limit for index in (self._network.indices[lane], beside)}
+                if len(limits) > 1 and not self._asks_for_markings:  # a faster lane makes nobody faster
+                    session.vehicle.setMaxSpeed(name, session.vehicle.getAllowedSpeed(name))
                 session.vehicle.changeLane(name, self._network.sumo_index(beside), 0.0)
             self._cut_ins[name] = time + (SWERVE_TIME if oncoming else CUT_IN_TIME)
             return
@@ -227,6 +230,13 @@ class Events:
         """Whether markings and classes let a vehicle change to the lane beside, without which SUMO does not."""
         there = self._network.lanes[beside].id
         return self._session.may_change(lane, there, self._session.vehicle.getVehicleClass(name))
+
+    def _leads_off(self, name: str, beside: LaneIndex) -> bool:
+        """Whether the lane beside leads along another route than the scenario's."""
+        way = self._session.vehicle.getRouteID(name)
+        return way in self._network.routes and way != self._network.leading_on(
+            way, self._network.lanes[beside].id
+        )
 
     def _has_room(self, name: str, lane: LaneIndex) -> bool:
         x, y, speed, _ = self._look()[name]

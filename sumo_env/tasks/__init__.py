@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sumo_env.config import ConfigError, nearest
 from sumo_env.tasks.base import Task
+from sumo_env.tasks.exit import Exit
 from sumo_env.tasks.highway import FAST, Highway
 from sumo_env.tasks.intersection import Intersection
 from sumo_env.tasks.merge import Merge
@@ -12,7 +13,7 @@ from sumo_env.tasks.two_way import TwoWay
 from sumo_env.tasks.u_turn import UTurn
 
 TASKS: dict[str, Task] = {
-    task.name: task for task in (Highway(), TwoWay(), Roundabout(), Intersection(), UTurn(), Merge())
+    task.name: task for task in (Highway(), TwoWay(), Roundabout(), Intersection(), UTurn(), Merge(), Exit())
 }
 
 # Names that stand for a task with other defaults.

@@ -49,6 +49,7 @@ class EgoState(NamedTuple):
         scene: all vehicles, for rewards that depend on the traffic; the ego is row 0.
         acceleration: mean of this step [m/s2]; jerk: its change since the step before, over time [m/s3].
         before: the scene before this step, None at a reset.
+        lanes_abreast: lanes of the road that the ego steers for.
     """
 
     lane: LaneIndex
@@ -66,6 +67,7 @@ class EgoState(NamedTuple):
     acceleration: float = 0.0
     jerk: float = 0.0
     before: Scene | None = None
+    lanes_abreast: int = 1
 
     @property
     def place(self) -> Place:
@@ -172,7 +174,7 @@ class Task:
         return lmap(reward, limits, (0.0, 1.0)) if limits and config.get("normalize_reward", True) else reward
 
     def arrived(self, ego: EgoState) -> bool:
-        """Whether the ego has reached a goal, which ends the episode; most tasks have none."""
+        """Whether the ego has reached a goal, which ends the episode unless `terminated` says else; most have none."""
         return False
 
     def terminated(self, ego: EgoState, config: Config) -> bool:

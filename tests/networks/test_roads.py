@@ -22,6 +22,8 @@ ROADS = {
     "intersection": (roads.intersection(), envs.IntersectionEnv, {}, {}),
     "u-turn": (roads.u_turn(), envs.UTurnEnv, {}, {}),
     "merge": (roads.merge(), envs.MergeEnv, {}, {}),
+    "exit": (roads.exit_road(), envs.ExitEnv, {}, {"lanes_count": 6}),
+    "exit-3": (roads.exit_road(3), envs.ExitEnv, {}, {"lanes_count": 3}),
 }
 
 
@@ -36,7 +38,7 @@ def pair(request):
         "speed_limit": 30,
     }
     env = SimpleNamespace(config=config, np_random=np.random.default_rng(0))
-    make = cls._create_road if cls is envs.HighwayEnv else cls._make_road
+    make = cls._create_road if issubclass(cls, envs.HighwayEnv) else cls._make_road
     make(env, **arguments)
     env.road.network.boxes = env.road.objects
     return ours, env.road.network

@@ -57,6 +57,7 @@ def ego_state(env: ScenarioEnv, action: int | None) -> EgoState:
         crashed=bool(ego.crashed),
         on_road=road.lane(index).covers(s, lateral),
         scene=scene,
+        lanes_abreast=road.count(start, end),
     )
 
 

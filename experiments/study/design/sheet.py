@@ -134,6 +134,13 @@ SHEETS: dict[str, Sheet] = {
         drivers={"assertive": Between(0.5, 1.3), "sideways": Between(0.1, 0.6)},
         risk=up_to(cut_in=0.3, brake=0.3),
     ),
+    # In no published study. Drivers keep their lanes and nobody crosses, as on the two-way road.
+    "exit": Sheet(
+        return_range=11.0,  # 1 a step from 400 m on, which is reached after 9 of 18 steps at the highest speed
+        episode_length=17,
+        lane_changes=False,
+        risk=up_to(cut_in=0.3, brake=0.3),
+    ),
 }
 # The paper's settings: names of the traffic levels by task, the lightest first.
 GRID: dict[str, tuple[str, ...]] = {

@@ -18,10 +18,11 @@ from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
 
 from .pairs import Case, cases, compare, differences
 
-FEW = {"highway": 1, "two-way": 3, "roundabout": 3, "intersection": 3, "u-turn": 3, "merge": 3}
+FEW = {"highway": 1, "two-way": 3, "roundabout": 3, "intersection": 3, "u-turn": 3, "merge": 3, "exit": 3}
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
 SHUFFLED = {**TABLE, "order": "shuffled"}
+EXIT = {"type": "ExitObservation", "order": "shuffled", "vehicles_count": 4, "see_behind": True}
 LADDER = {"type": "DiscreteMetaAction", "target_speeds": [4, 12, 20]}
 CONFIGS: dict[str, list[dict[str, Any]]] = {
     "highway": [
@@ -48,6 +49,10 @@ CONFIGS: dict[str, list[dict[str, Any]]] = {
             "observation": {**TABLE, "include_obstacles": False, "see_behind": True},
             "merging_speed_reward": -2,
         },
+    ],
+    "exit": [
+        {"lanes_count": 3, "neighbour_vehicles_connected_lanes": True, "right_lane_reward": 0.3},
+        {"lanes_count": 2, "normalize_reward": False, "duration": 25, "observation": EXIT},
     ],
 }
 

@@ -31,6 +31,7 @@ WEIGHTS: dict[str, dict[str, Any]] = {
     "intersection": {"collision_reward": -2, "arrived_reward": 3, "offroad_terminal": True},
     "u-turn": {"left_lane_reward": 0.4, "collision_reward": -3},
     "merge": {"merging_speed_reward": -0.7, "reward_speed_range": [18, 27]},
+    "exit": {"goal_reward": 0.6, "right_lane_reward": 0.2, "collision_reward": -2, "lanes_count": 4},
 }
 
 

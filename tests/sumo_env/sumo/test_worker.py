@@ -200,7 +200,7 @@ def test_threads_get_the_answers_to_their_own_requests(simulator: SumoProcess) -
 def test_a_fork_while_a_thread_waits_for_an_answer(simulator: SumoProcess) -> None:
     """The child, in which the thread is not, begins an episode of its own."""
     simulator.reset(scenario(HANGS))
-    simulator.timeout = 3.0  # [s]
+    worker = simulator.pid
     with ThreadPoolExecutor(1) as pool:
         waiting = pool.submit(simulator.step, {"ego": COMMAND})
         while simulator._lock.acquire(blocking=False):
@@ -212,8 +212,9 @@ def test_a_fork_while_a_thread_waits_for_an_answer(simulator: SumoProcess) -> No
                 os._exit(round(simulator.reset(scenario(1)).x[-1]))
             finally:
                 os._exit(9)
+        assert ends(child)
+        os.kill(worker, signal.SIGKILL)
         assert isinstance(waiting.exception(), SimulatorDied)
-    assert ends(child)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
 
 

@@ -69,7 +69,7 @@ def words_alone():
 
 def reported(*directories: Path, **asked) -> list[Analysis]:
     """Write a report; the analyses that it is made of, one a directory."""
-    made = []
+    made: list[Analysis] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(report, "analyse", lambda *given: made.append(analyse(*given)) or made[-1])
         report.write_report(*directories, **asked)

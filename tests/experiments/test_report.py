@@ -70,8 +70,13 @@ def words_alone():
 def reported(*directories: Path, **asked) -> list[Analysis]:
     """Write a report; the analyses that it is made of, one a directory."""
     made: list[Analysis] = []
+
+    def kept(*given) -> Analysis:
+        made.append(analyse(*given))
+        return made[-1]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "analyse", lambda *given: made.append(analyse(*given)) or made[-1])
+        patch.setattr(report, "analyse", kept)
         report.write_report(*directories, **asked)
     return made
 

@@ -68,7 +68,7 @@ def test_the_weight_is_that_of_the_stored_events(task: str) -> None:
             rate = 0.1 * (rates.cut_in + rates.brake + rates.surge)
             assert found == pytest.approx(recomputed(env, driven, list(env.scenario.events), rate), abs=1e-9)
             base = {event.vehicle for event in env.scenario.events if not event.is_further}
-            a_step_before = frozenset[str]()
+            a_step_before: set[str] = set()
             for before, after in driven:
                 begun, here = after.in_event - before.in_event - base, near(before, reach + 1e-6)
                 assert begun <= here | a_step_before  # what is due in its last sub-step begins after it

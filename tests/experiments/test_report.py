@@ -7,7 +7,6 @@ import re
 from collections import defaultdict
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd

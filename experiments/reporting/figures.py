@@ -52,7 +52,15 @@ STYLE: Any = {
 }  # fmt: skip
 # Whatever the user's own settings are, a function of this module draws in the report's style.
 styled = matplotlib.style.context(["default", STYLE])
-CONSTANT = {"idle": "o", "slower": "v", "faster": "^", "random": "D", "idm": "s"}  # policies and their marks
+MARKS = {
+    "idle": "o",
+    "slower": "v",
+    "faster": "^",
+    "random": "D",
+    "idm": "s",
+    "planner": "P",
+    "sumo": "X",
+}  # of policies
 
 
 def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Figure, np.ndarray]:
@@ -87,7 +95,7 @@ def _mark(policy: str) -> dict[str, Any]:
     """
     if policy.startswith("careful"):
         return {"marker": "*", "color": CAREFUL, "ms": 8 if policy == "careful" else 4}
-    return {"marker": CONSTANT.get(policy, "P"), "color": MUTED, "ms": 4, "mfc": "none"}
+    return {"marker": MARKS.get(policy, "d"), "color": MUTED, "ms": 4, "mfc": "none"}
 
 
 def _arms(frame: pd.DataFrame) -> list[str]:
@@ -127,7 +135,7 @@ def _panels(frame: pd.DataFrame) -> tuple[Figure, list[tuple[pd.DataFrame, Axes]
 
 def _shown(policies: pd.DataFrame) -> list[str]:
     """The policies without training, in the order in which they are drawn."""
-    return [name for name in ("careful", *CONSTANT) if (policies["policy"] == name).any()]
+    return [name for name in ("careful", *MARKS) if (policies["policy"] == name).any()]
 
 
 @styled

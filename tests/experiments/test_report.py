@@ -147,11 +147,13 @@ class TestAnswer:
         )
         assert (rows.query("traffic == 'risky'")["high"] < 0).all()  # as planted
         first = text.splitlines()[0]
-        assert first.startswith("In risky traffic treated agents: fewer crashes in every task. In regular")
+        assert first.startswith(
+            "In risky traffic treated agents: fewer crashes on highway and u-turn. In regular"
+        )
         assert first in page
         regular = rows.query("traffic == 'regular'")
         assert ((regular["low"] < 0) & (regular["high"] > 0)).all()
-        assert first.endswith("not decided in any task.")
+        assert first.endswith("not decided on highway and u-turn.")
 
     @pytest.mark.parametrize("traffic", ["risky", "regular"])
     def test_the_first_table_has_both_arms_and_the_difference_of_each_task(self, analysis, traffic):

@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import highway_env.envs as envs
 import numpy as np
 import pytest
+import shapely
 
 from sumo_env.compat.views import RoadNetwork
 from sumo_env.networks import roads
+from sumo_env.networks.lanes import PolyLane
 
 # Our road, and the environment of highway-env that has it, with the arguments and the configuration of its own.
 ROADS = {
@@ -152,3 +154,20 @@ def test_same_next_lane(pair):
             x, y = map(float, lane.position(lane.length + rng.uniform(-2.5, 2.0), rng.normal(0, 2)))
             expected = theirs.next_lane(index, plan if goal else None, np.array([x, y]))
             assert ours.next_lane(index, (index[0], *path), x, y) == expected
+
+
+def test_a_lane_of_pieces_is_measured_as_shapely_does() -> None:
+    """Beside pieces, and at corners from outside and from inside; beyond both ends it goes on straight."""
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        turns, lengths = rng.uniform(-1.0, 1.0, 5).cumsum(), rng.uniform(5.0, 30.0, 5)
+        steps = np.stack([lengths * np.cos(turns), lengths * np.sin(turns)], axis=1)
+        points = np.concatenate([np.zeros((1, 2)), steps.cumsum(axis=0)])
+        lane, line = PolyLane(tuple(map(tuple, points.tolist()))), shapely.LineString(points)
+        assert lane.length == pytest.approx(line.length)
+        for x, y in (points[rng.integers(6, size=60)] + rng.normal(0.0, 4.0, (60, 2))).tolist():
+            s, lateral = lane.local_coordinates(x, y)
+            if 0.0 < s < lane.length:
+                assert (s, abs(lateral)) == pytest.approx(
+                    (line.project(shapely.Point(x, y)), line.distance(shapely.Point(x, y)))
+                )

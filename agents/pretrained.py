@@ -1,4 +1,4 @@
-"""Agents to use without training: the first training seed of each arm and setting of the study, in one file.
+"""Agents to use without training: of each arm and setting of the study, in one file.
 
     policy = agents.load("u-turn-3", "mixed")
     env = gymnasium.make("sumo_env:sumo/u-turn-v0", config=agents.card("u-turn-3", "mixed")["config"])
@@ -102,14 +102,12 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     return Timed(inner, steps) if steps else Greedy(inner)
 
 
-def save(
-    agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE, half: bool = False
-) -> None:
-    """Write agents with their cards, by "SETTING/ARM"; `half`: their weights in half precision."""
+def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE) -> None:
+    """Write agents with their cards, by "SETTING/ARM", and their weights in half precision."""
     arrays = {CARDS: np.array(json.dumps({name: about for name, (about, _) in agents.items()}))}
     for name, (_, policy) in agents.items():
         for part, value in policy.network.state_dict().items():
-            arrays[f"{name}/{part}"] = (value.half() if half and value.is_floating_point() else value).numpy()
+            arrays[f"{name}/{part}"] = (value.half() if value.is_floating_point() else value).numpy()
     save_arrays(file, arrays)
 
 

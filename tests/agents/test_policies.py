@@ -82,7 +82,7 @@ def test_an_agent_has_the_weights_that_were_stored(published, arm, seed) -> None
     assert agents.card("u-turn-3", arm, published)["time_observed"] == 0
     loaded = agents.load("u-turn-3", arm, published).network.state_dict()
     for name, value in network(seed).state_dict().items():
-        assert torch.equal(loaded[name], value), name
+        assert torch.equal(loaded[name], value.half().float()), name
 
 
 def test_sumo_drives_from_the_first_step_of_every_episode() -> None:

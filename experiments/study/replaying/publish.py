@@ -1,9 +1,9 @@
-"""Write results/agents.npz: of each arm and setting of a study the agent with the first training seed.
+"""Write results/agents.npz: agents of a study on SUMO, with their weights in half precision.
 
-    python -m experiments.study.replaying.publish results/sumo-second
-    python -m experiments.study.replaying.publish results/pairs --every     # results/pairs/agents.npz
+    python -m experiments.study.replaying.publish results/study
 
-Agents of other settings that are in the file stay. Agents that observe the dose are left out.
+Of each arm and setting the agent with the lowest training seed, as ARM; in the lightest setting of a task all agents,
+the others as ARM-sSEED. Agents of other settings that are in the file stay. Agents that observe the dose are left out.
 """
 
 from __future__ import annotations
@@ -65,19 +65,13 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
     return about, policy
 
 
-def main(
-    directory: Annotated[Path, tyro.conf.Positional],
-    out: Path | None = None,
-    every: tyro.conf.FlagCreatePairsOff[bool] = False,
-) -> int:
+def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretrained.FILE) -> int:
     """Write the file of agents.
 
     Args:
         directory: a study's results on SUMO.
-        out: the file; results/agents.npz, or with `every` agents.npz in the study's folder.
-        every: the agents of all training seeds, as ARM-sSEED, with their weights in half precision.
+        out: the file.
     """
-    out = out or (directory / pretrained.FILE.name if every else pretrained.FILE)
     agents: dict[str, tuple[dict[str, Any], Greedy]] = {}
     if out.exists():
         for label, about in pretrained.cards(out).items():
@@ -85,17 +79,22 @@ def main(
             agents[label] = about, pretrained.load(setting, arm, out)
     store = Store(directory)
     commands = {name: sweep["command"] for sweep in store.sweeps() for name in sweep["cells"]}
-    first: dict[str, str] = {}  # the cell of the lowest seed
+    chosen: dict[str, str] = {}
     for name, record in sorted(store.agents().items(), key=lambda cell: cell[1]["key"]["seed"]):
         key = record["key"]
-        if key["backend"] == "sumo" and store.weights(name):
-            seed = f"-s{key['seed']}" if every else ""
-            first.setdefault(f"{key['task']}-{key['level_name']}/{key['arm']}{seed}", name)
-    for label, name in sorted(first.items()):
+        if key["backend"] != "sumo" or not store.weights(name):
+            continue
+        label = f"{key['task']}-{key['level_name']}/{key['arm']}"
+        is_lightest = key["level_name"] == next(iter(TASKS[key["task"]].levels))
+        if label not in chosen:
+            chosen[label] = name
+        elif is_lightest:
+            chosen[f"{label}-s{key['seed']}"] = name
+    for label, name in sorted(chosen.items()):
         if (agent := published(directory, name, commands[name])) is not None:
             agents[label] = agent
             print(label, agent[0]["risky"]["crash_rate"])
-    pretrained.save(dict(sorted(agents.items())), out, half=every)
+    pretrained.save(dict(sorted(agents.items())), out)
     print(f"written: {out} ({len(agents)} agents, {out.stat().st_size / 1e6:.1f} MB)")
     return 0
 

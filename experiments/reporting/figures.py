@@ -111,7 +111,7 @@ def _legend(figure: Any, arms: list[str], policies: list[str], **more: Any) -> N
     )
 
 
-def _by_task(frame: pd.DataFrame, rows: int, height: float, **options: Any) -> tuple[Figure, dict[str, Any]]:
+def by_task(frame: pd.DataFrame, rows: int, height: float, **options: Any) -> tuple[Figure, dict[str, Any]]:
     """A figure with a column for each task: by task its axes from top to bottom."""
     tasks = sorted(frame["task"].unique(), key=TASK_ORDER.__getitem__)
     figure, axes = new_figure(rows, len(tasks), height, **options)
@@ -123,7 +123,7 @@ def _by_task(frame: pd.DataFrame, rows: int, height: float, **options: Any) -> t
 
 def _panels(frame: pd.DataFrame) -> tuple[Figure, list[tuple[pd.DataFrame, Axes]]]:
     """A figure of crash rates with a column for each task and a row for each traffic: rows of each, and its axes."""
-    figure, columns = _by_task(frame, 2, 3.5, sharex="col", sharey=True)
+    figure, columns = by_task(frame, 2, 3.5, sharex="col", sharey=True)
     panels = []
     for row, traffic in enumerate(reversed(TRAFFICS)):
         next(iter(columns.values()))[row].set_ylabel(f"crash rate,\n{traffic} traffic")
@@ -231,7 +231,7 @@ def dose_response(policies: pd.DataFrame, backend: str) -> str:
     of_arm = {name: arm.traffic.dose for name, arm in EVERY_ARM.items()}
     doses = doses.merge(between).assign(dose=lambda frame: frame["arm"].map(of_arm))
     styles = {"risky": "-", "regular": "--"}
-    figure, columns = _by_task(doses, 1, 2.1, sharey=True)
+    figure, columns = by_task(doses, 1, 2.1, sharey=True)
     for task, [panel] in columns.items():
         for traffic, style in styles.items():
             own = doses[(doses["task"] == task) & (doses["traffic"] == traffic)]
@@ -254,7 +254,7 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
     """
     curves = pd.DataFrame([{**cell["key"], "curve": cell["learner"]["curve"]} for cell in cells.values()])
     curves = curves[curves["level"] == curves.groupby("task")["level"].transform("min")]
-    figure, columns = _by_task(curves, 2, 3.2, sharex="col", sharey="row")
+    figure, columns = by_task(curves, 2, 3.2, sharex="col", sharey="row")
     for task, column in columns.items():
         for panel, outcome in zip(column, ("return", "crashed"), strict=True):
             for arm, colour in COLOURS.items():

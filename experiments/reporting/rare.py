@@ -1,11 +1,25 @@
-"""The figure of crash rates against the rate of events (`experiments/rare.py`)."""
+"""Figures of crash rates against the rate of events (`experiments/rare.py`, `experiments/break_even.py`)."""
 
 from __future__ import annotations
 
 import pandas as pd
+from matplotlib.lines import Line2D
 
-from experiments.reporting.figures import CAREFUL, INK, MUTED, TREATMENT, new_figure, styled, to_svg
+from experiments.analysis.break_even import BreakEven
+from experiments.reporting.figures import (
+    CAREFUL,
+    COLOURS,
+    INK,
+    MUTED,
+    TREATMENT,
+    by_task,
+    new_figure,
+    styled,
+    to_svg,
+)
+from experiments.study.design.arms import ARMS
 
+BREAK_EVEN = "break-even"  # files of `break_even.py`, and their folder beside a report
 SHOWN = {  # column and its label, colour, and claims with which it is drawn
     "crashes_per_episode": ("all crashes", INK, ("all",)),
     "by_events_per_episode": ("crashes with an event near the ego", TREATMENT, ("all", "by events")),
@@ -39,3 +53,81 @@ def rare_figure(curve: pd.DataFrame, title: str) -> str:
     axes.set_xlabel("rate of risk events (1: that at dose 1)")
     axes.legend()
     return to_svg(figure, "rare", f"Crashes per episode against the rate of risk events: {title}.")
+
+
+# Events per vehicle and hour of driving on roads.
+MILES_PER_HOUR = (
+    2.0e6 / 43_000
+)  # of the 100-Car study: 2,000,000 vehicle miles in 43,000 hours (Neale et al. 2005)
+ROADS = {
+    # SHRP 2, drivers of 35 to 54 years: 37.3 in a million miles (Traffic Inj. Prev. 19 S1, 2018, S89 [abstract])
+    "near-crashes": 37.3e-6 * MILES_PER_HOUR,
+    # highD: 110,500 vehicles, 13.6 s of each in view (Krajewski et al. 2018); 3,787 lane changes ahead of a vehicle, of
+    # which cut-ins are a part ("Why studying cut-ins? Comparing cut-ins and other lane changes" [a summary])
+    "lane changes ahead of others": 3_787 / (110_500 * 13.6 / 3600),
+}
+
+
+def break_even_words(found: BreakEven, hours: float) -> str:
+    """Where risky training pays, as a sentence. hours: events per vehicle and hour at the rate 1."""
+
+    def at(rate: float) -> str:
+        return f"{float(f'{hours * rate:.2g}'):,g}"
+
+    def span(ends: tuple[float, float]) -> str:
+        return f"at {at(ends[0])}" if ends[0] == ends[1] else f"from {at(ends[0])} to {at(ends[1])}"
+
+    unit = "events per vehicle-hour"
+    if found.rate == found.rate:
+        above, below = ("fewer", "more") if found.less[1] > found.more[1] else ("more", "fewer")
+        return (
+            f"treated agents crash in {above} episodes above {at(found.rate)} {unit} (between {at(found.low)} and "
+            f"{at(found.high)}), and in {below} below"
+        )
+    sides = [(found.less, "fewer"), (found.more, "more")]
+    parts = [f"in {word} episodes {span(ends)} {unit}" for ends, word in sides if ends[0] == ends[0]]
+    if not parts:
+        return "nothing is decided at any rate"
+    return (
+        f"treated agents crash {' and '.join(parts)}; nothing is decided elsewhere, and no rate breaks even"
+    )
+
+
+@styled
+def break_even_figure(table: pd.DataFrame) -> str:
+    """Crashes per episode of both arms against the rate of events, by task, on logarithmic axes, with ROADS as lines.
+
+    table: as `break_even.py` writes.
+    """
+    figure, columns = by_task(table, 1, 2.6, sharey=True)
+    for task, [axes] in columns.items():
+        own = table[table["task"] == task]
+        for arm, colour in COLOURS.items():
+            if arm not in ARMS:
+                continue
+            name, least = f"{arm}_per_episode", f"{arm}_low_per_episode"
+            low = own[least].clip(lower=own[name].where(own[name] > 0, 1e-6) / 30)
+            axes.fill_between(
+                own["events_per_hour"], low, own[f"{arm}_high_per_episode"], color=colour, alpha=0.15, lw=0
+            )
+            axes.plot(
+                own["events_per_hour"],
+                own[name].where(own[name] > 0),
+                color=colour,
+                marker="o",
+                ms=3,
+                label=arm,
+            )
+        for number, rate in enumerate(ROADS.values()):
+            axes.axvline(rate, color=MUTED, lw=0.8, ls=(":", "--")[number])
+        axes.set(xscale="log", yscale="log")
+    figure.axes[0].set_ylabel("crashes per episode")
+    figure.supxlabel("risk events per vehicle and hour", fontsize=8.5)
+    handles = [Line2D([], [], color=COLOURS[arm], marker="o", ms=3, label=arm) for arm in ARMS]
+    handles += [
+        Line2D([], [], color=MUTED, lw=0.8, ls=(":", "--")[k], label=name) for k, name in enumerate(ROADS)
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return to_svg(
+        figure, "break-even", "Crashes per episode of control and treated agents against the rate of events"
+    )

@@ -7,10 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import rare
+import agents
+from agents import pretrained
+from experiments import break_even, rare
+from experiments.reporting.page import rates
 from experiments.support.errors import UserError
 from experiments.support.files import read_json
 
@@ -71,3 +75,33 @@ def test_what_makes_no_sense_is_refused_before_anything_is_driven(
 def test_rates_are_two_in_each_decade_or_those_that_are_named() -> None:
     assert rare.rates_of("1e-2:1") == (0.01, 0.0316, 0.1, 0.316, 1.0)
     assert rare.rates_of("0.5,0.1") == (0.1, 0.5)
+
+
+@pytest.mark.slow
+def test_break_even_drives_all_published_agents_of_both_arms(tmp_path: Path, monkeypatch, capsys) -> None:
+    about = agents.card("u-turn-3", "control")
+    first = agents.load("u-turn-3", "control")
+    stored = {
+        f"u-turn-3/{arm}{seed}": (about, first) for arm in ("control", "treatment") for seed in ("", "-s1")
+    }
+    monkeypatch.setattr(pretrained, "FILE", tmp_path / "agents.npz")
+    for function in (pretrained.cards, pretrained.load):
+        monkeypatch.setattr(function, "__defaults__", (tmp_path / "agents.npz", *function.__defaults__[1:]))
+    options = break_even.Options(
+        tasks=("u-turn",), rates="0.3,1", dose=0.3, episodes=8, out=tmp_path / "break-even"
+    )
+    with pytest.raises(UserError, match="agents"):
+        break_even.run(options, [])
+    pretrained.save(stored, tmp_path / "agents.npz")
+    assert break_even.run(options, ["--tasks", "u-turn"]) == 0
+    found = read_json(options.out / "break-even.json")
+    assert found["agents"]["u-turn"]["treatment"] == ["u-turn-3/treatment", "u-turn-3/treatment-s1"]
+    assert capsys.readouterr().out.splitlines()[-2] == f"u-turn: {found['words']['u-turn']}"
+    table = pd.read_csv(options.out / "break-even.csv")
+    assert list(table["events_per_hour"]) == pytest.approx([324.0, 1080.0])
+    ours = [
+        pd.read_csv(options.out / f"u-turn-3-{name}" / "curve.csv") for name in ("treatment", "treatment-s1")
+    ]
+    mean = sum(one["crashes_per_episode"] for one in ours) / 2
+    np.testing.assert_allclose(table["treatment_per_episode"], mean, rtol=1e-4)
+    assert "near-crashes" in rates(options.out)["figure"]

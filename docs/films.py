@@ -165,7 +165,7 @@ def scenarios() -> None:
 
 
 def town() -> None:
-    """The film that the script of docs/scenarios.md makes; needs eclipse-sumo and Stable-Baselines3."""
+    """The film that the script of docs/scenarios.md makes; needs eclipse-sumo."""
     page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
     (script,) = (
         block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "town.gif" in block
@@ -177,16 +177,6 @@ def town() -> None:
 
 
 if __name__ == "__main__":
-    if "town" in sys.argv:
-        town()
-        sys.exit()
-    if "films" in sys.argv:
-        films()
-        sys.exit()
-    if "scenarios" in sys.argv:
-        scenarios()
-        sys.exit()
-    environments()
-    films()
-    risk()
-    scenarios()
+    parts = {"films": films, "scenarios": scenarios, "town": town}
+    for draw in [parts[name] for name in sys.argv[1:]] or [environments, films, risk, scenarios]:
+        draw()

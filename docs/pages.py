@@ -21,7 +21,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from docs.settings import trainings
+from docs.settings import readme_agents, trainings
 from experiments import evaluate
 from experiments.reporting.card import ALL
 from experiments.reporting.tables import chosen, plain, points
@@ -80,7 +80,7 @@ def entries(outcome: str) -> str:
 
 # -- pages -------------------------------------------------------------------------------------------------------------
 
-FUNCTIONS: list[Callable[..., Any]] = [entries, missed, road_units, trainings, validation]
+FUNCTIONS: list[Callable[..., Any]] = [entries, missed, readme_agents, road_units, trainings, validation]
 
 
 def page_of(template: Path) -> Path:

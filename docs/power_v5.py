@@ -53,13 +53,8 @@ def of_effects() -> pd.DataFrame:
     found = means(effects, STUDY)
     rows = []
     for row in found[found["scope"].isin(STUDY.tasks)].itertuples():
-        line = {
-            "task": row.scope,
-            "traffic": row.term,
-            "settings": row.settings,
-            "se": 100 * row.se,
-            "df": row.df,
-        }
+        line = {"task": row.scope, "traffic": row.term, "settings": row.settings}
+        line |= {"se": 100 * row.se, "df": row.df}
         for step, alpha in (("first", ALPHA / 10), ("last", ALPHA)):
             line[f"{step} step"] = 100 * estimate.detectable(row.se, row.df, alpha)
             limit = stats.t.ppf(1 - alpha / 2, row.df)
@@ -91,13 +86,8 @@ def of_bounds() -> pd.DataFrame:
         for bound in STUDY.price[:2]:
             asked = {("weighed", bound.against): [("crashed", bound.term)]}
             for row in means(contrasts(arms_of(kept, ["crashed"]), asked), STUDY).itertuples():
-                line = {
-                    "pairs": name,
-                    "traffic": bound.term,
-                    "scope": row.scope,
-                    "se": 100 * row.se,
-                    "df": row.df,
-                }
+                line = {"pairs": name, "traffic": bound.term, "scope": row.scope}
+                line |= {"se": 100 * row.se, "df": row.df}
                 limit = stats.t.ppf(1 - ALPHA, row.df)
                 away = {share: (1 - share) * bound.margin / row.se for share in SHARES}
                 rows.append(line | {f"at {d}": stats.nct.sf(limit, row.df, far) for d, far in away.items()})

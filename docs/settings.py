@@ -1,7 +1,7 @@
 """Settings of Stable-Baselines3 that learn: ``python docs/settings.py`` makes the rows that docs/settings.json lacks.
 
 A row is TASK/RISK/DRIVER: the seed of a training, "random", or an action that is always taken. Tasks have the defaults
-of their ids, which are light traffic. ``make pages`` makes a table of the rows (`trainings`).
+of their ids, which are light traffic. ``make pages`` makes a table of the rows (`trainings`), README's among them.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ ROWS = Path(__file__).with_suffix(".json")
 # Policy steps of an episode; each pays at most 1.
 TASKS = {"highway-fast": 30, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 RISKS, SEEDS = (0, 1), ("0", "1", "2")
+README, MORE_SEEDS = ("u-turn", 1), ("3",)  # README's script has ten trainings
 SCENARIOS, STEPS = range(5000, 5100), 15_000  # README's; 100 scenarios, so that crashes are in %
 DIGITS = {"return": 1, "crashes": 0, "speed": 1}
 DQN = {
@@ -52,7 +53,7 @@ def drive(env: gym.Env[Any, Any], act: Callable[[Any], Any]) -> dict[str, float]
 
 def row(env: gym.Env[Any, Any], driver: str, actions: dict[str, int]) -> dict[str, float]:
     """What a driver does, and the CPU seconds of its training."""
-    if driver not in SEEDS:
+    if not driver.isdigit():
         env.action_space.seed(0)
         return drive(env, lambda _: actions[driver] if driver in actions else env.action_space.sample())
     from stable_baselines3 import DQN as Learner
@@ -65,21 +66,39 @@ def row(env: gym.Env[Any, Any], driver: str, actions: dict[str, int]) -> dict[st
     return {"seconds": seconds, **drive(env, lambda seen: model.predict(seen, deterministic=True)[0])}
 
 
+def seeds(task: str, risk: int) -> tuple[str, ...]:
+    """Of the trainings of a line."""
+    return (*SEEDS, *MORE_SEEDS) if (task, risk) == README else SEEDS
+
+
+def of_line(task: str, risk: int) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The rows of the agents of a line, and of the drivers that do not learn."""
+    stored = json.loads(ROWS.read_text())
+    rows = {name.split("/")[2]: row for name, row in stored.items() if name.startswith(f"{task}/{risk}/")}
+    return pd.DataFrame([rows.pop(seed) for seed in seeds(task, risk)]), pd.DataFrame(rows).T
+
+
+def readme_agents() -> dict[str, float]:
+    """README's agents: how many, their median crashes [%] and those of random actions."""
+    agents, others = of_line(*README)
+    random = others.loc["random", "crashes"]
+    return {"count": len(agents), "crashes": agents["crashes"].median(), "random": random}
+
+
 def trainings() -> str:
     """The lines of the table: agents (median, least, most), random, the best constant action, how far agents lead."""
-    rows, lines = json.loads(ROWS.read_text()), []
+    lines = []
     for task, risk in product(TASKS, RISKS):
-        of = {name.split("/")[2]: row for name, row in rows.items() if name.startswith(f"{task}/{risk}/")}
-        agents = pd.DataFrame([of.pop(seed) for seed in SEEDS if seed in of])
-        best = max((name for name in of if name != "random"), key=lambda name: of[name]["return"])
+        agents, others = of_line(task, risk)
+        best = others["return"].idxmax()
         cells = [task, f"{risk}"]
         for key, digits in DIGITS.items():
             least, middle, most = (f"{value:.{digits}f}" for value in agents[key].quantile([0, 0.5, 1]))
             cells.append(middle if key == "speed" else f"{middle} ({least}–{most})")
         for name in ("random", best):
-            cells.append("/".join(f"{of[name][key]:.{digits}f}" for key, digits in DIGITS.items()))
+            cells.append("/".join(f"{others.loc[name, key]:.{digits}f}" for key, digits in DIGITS.items()))
         cells[-1] = f"{best} {cells[-1]}"
-        lead = 100 * (agents["return"].median() - max(row["return"] for row in of.values())) / TASKS[task]
+        lead = 100 * (agents["return"].median() - others.loc[best, "return"]) / TASKS[task]
         lines.append(f"| {' | '.join(cells)} | {f'**{lead:+.0f}**' if lead >= 5 else f'{lead:+.0f}'} |")
     return "\n".join(lines)
 
@@ -89,7 +108,7 @@ def main() -> None:
     for task, risk in product(TASKS, RISKS):
         with closing(gym.make(f"sumo_env:sumo/{task}-v0", config={"risk": risk})) as env:
             actions = {name: number for number, name in env.unwrapped.actions.items()}  # type: ignore[attr-defined]
-            for driver in (*SEEDS, "random", *actions):
+            for driver in (*seeds(task, risk), "random", *actions):
                 rows = json.loads(ROWS.read_text()) if ROWS.exists() else {}
                 if (name := f"{task}/{risk}/{driver}") not in rows:
                     rows[name] = {key: round(value, 3) for key, value in row(env, driver, actions).items()}

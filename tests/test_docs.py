@@ -8,6 +8,7 @@ import re
 from ast import literal_eval
 from collections.abc import Iterable
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import gymnasium as gym
@@ -177,10 +178,14 @@ def test_settings_that_learn_are_those_of_readme_s_script() -> None:
     for task, steps in settings.TASKS.items():
         env: Any = gym.make(f"sumo/{task}-v0").unwrapped
         assert env.config["duration"] * env.config["policy_frequency"] == steps
-        drivers = (*settings.SEEDS, "random", *env.actions.values())
-        expected |= {f"{task}/{risk}/{driver}" for risk in settings.RISKS for driver in drivers}
+        for risk in settings.RISKS:
+            drivers = (*settings.seeds(task, risk), "random", *env.actions.values())
+            expected |= {f"{task}/{risk}/{driver}" for driver in drivers}
         env.close()
     assert rows.keys() == expected
+    agents = [row["crashes"] for name, row in rows.items() if re.fullmatch(r"u-turn/1/\d", name)]
+    random = rows["u-turn/1/random"]["crashes"]
+    assert settings.readme_agents() == {"count": len(agents), "crashes": median(agents), "random": random}
 
 
 def test_the_checks_of_the_validation_are_counted() -> None:

@@ -178,16 +178,11 @@ def main(name, make, learner, steps, levels=(-1.0, -0.5, 0.0, 0.5, 1.0), **setti
 
 def table(rows):
     """The results as a table in Markdown."""
-    lines = [
-        "| example | learner | agent | best constant action | difference (standard error) | SUMO's driver |",
-        "|---|---|---|---|---|---|",
-    ]
+    lines = ["| example | agent | best constant action | SUMO's driver |", "|---|---|---|---|"]
     for name, row in sorted(rows.items()):
         bold = "**" if row["ahead"] > 2 * row["standard error"] else ""
-        lines.append(
-            f"| `{name}` | {row['learner']} | {row['return']:.2f} | {row['its return']:.2f} "
-            f"| {bold}{row['ahead']:+.2f}{bold} ({row['standard error']:.2f}) | {row['SUMO drives']:.2f} |"
-        )
+        agent = f"{row['learner']} {bold}{row['return']:.2f}{bold}"
+        lines.append(f"| `{name}` | {agent} | {row['its return']:.2f} | {row['SUMO drives']:.2f} |")
     return "\n".join(lines)
 
 

@@ -20,7 +20,7 @@ from sumo_env.networks.roads import LaneIndex, Road
 
 Line = tuple[Point, ...]
 
-GAP = 0.12  # [m] that a plain junction takes out of the road; SUMO needs 0.1. See docs/developers/architecture.md, roads
+GAP = 0.12  # [m] that a plain junction takes out of the road; SUMO needs 0.1. See docs/developers/architecture.md
 ARC_STEP = math.radians(1.0)  # chords of 1 degree stay within 1 mm of a circle of 24 m
 SINE_STEP = 0.5  # [m]
 OVERHANG = 1.1  # [m] that the merge's third lane is longer, so that the obstacle at its end stands on it

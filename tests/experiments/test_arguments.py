@@ -12,6 +12,7 @@ import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agents.learners import LEARNERS
 from agents.rules import DRIVERS
 from experiments import sweep, train
 from experiments.backends import BACKENDS
@@ -47,7 +48,7 @@ ARGUMENTS = {
     "frontier": st.booleans(),
     "unseen": st.booleans(),
     "traffics": st.lists(some(ALL), max_size=2).map(tuple),
-    "learner": some(["dqn", "sb3-dqn", "sb3-ppo", "none.py:learner"]),
+    "learner": some([*LEARNERS, "none.py:learner"]),
     "settings": st.lists(
         some(["gamma=0.9", "gamma=NaN", "device=cpu", "gama=1", "=", "n_steps=8"]), max_size=2
     ).map(tuple),
@@ -95,7 +96,7 @@ def test_the_help_names_all_that_can_be_asked_for(capsys):
     with pytest.raises(SystemExit):
         tyro.cli(Options, args=["--help"])
     said = set(re.findall(r"[\w-]+", capsys.readouterr().out))
-    assert {*PRESETS, *EVERY_ARM, *BACKENDS, *TASKS, *EXECUTORS} <= said
+    assert {*PRESETS, *EVERY_ARM, *BACKENDS, *TASKS, *EXECUTORS, *LEARNERS, *DRIVERS} <= said
     assert "--learners" not in said  # presets alone
 
 

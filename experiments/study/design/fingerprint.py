@@ -5,7 +5,7 @@ Behaviour is taken, not source code: whole episodes of a simulator at both doses
 by. `fingerprints.json` has the eight digits that cells are named with and the numbers that they stand for; a sweep
 compares them before it begins. After a change that is meant,
 
-    python -m experiments.study.design.fingerprint
+    python -m experiments.study.design.fingerprint             # some minutes; with names of tasks, of these alone
 
 gives what has changed a name of its own.
 """
@@ -13,7 +13,7 @@ gives what has changed a name of its own.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import cache
 from pathlib import Path
@@ -24,7 +24,7 @@ import numpy as np
 
 from experiments.backends import BACKENDS, has, make_env, require
 from experiments.study.design.arms import scenario_seed
-from experiments.support.errors import UserError
+from experiments.support.errors import UserError, check_known, run_command
 from experiments.support.files import canonical_json, read_json, sha256_bytes, write_json
 from sumo_env.tasks import TASKS
 
@@ -216,13 +216,18 @@ def check_learners(agents: Iterable[tuple[str, Mapping[str, Any]]]) -> None:
             )
 
 
-def main() -> int:
-    """Compare all simulators and learners with the table; add what is new, and give new names to what has changed."""
-    table = _table()
+def main(tasks: Sequence[str] = ()) -> int:
+    """Compare simulators and learners with the table; add what is new, and give new names to what has changed.
+
+    tasks: the simulators of these alone, and no learner. Raises UserError for one that there is not.
+    """
+    check_known("task", tasks, TASKS)
+    table, asked = _table(), tasks or tuple(TASKS)
     found = {
-        (backend, task): driven(backend, task) for backend in BACKENDS for task in TASKS if has(backend, task)
+        (backend, task): driven(backend, task) for backend in BACKENDS for task in asked if has(backend, task)
     }
-    found |= {(LEARNERS, kind_of("dqn", settings)): learnt(settings) for settings in KINDS}
+    if not tasks:
+        found |= {(LEARNERS, kind_of("dqn", settings)): learnt(settings) for settings in KINDS}
     for (part, name), behaviour in found.items():
         known = table.setdefault(part, {}).setdefault(name, {"name": "none", "behaviour": {}})
         if not _same(behaviour, known["behaviour"]):
@@ -233,4 +238,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_command(lambda: main(sys.argv[1:]))

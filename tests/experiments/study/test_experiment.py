@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from agents.learners import LEARNERS
 from agents.streams import episode_seed
 from experiments.study.design import experiment
 from experiments.study.design.arms import (
@@ -101,7 +102,7 @@ def test_seeds_of_tests_and_of_trainings_are_apart_from_each_other():
     assert len(trainings) == len(tests) == len(places)
 
 
-@pytest.mark.parametrize("learner", ["dqn", "sb3-dqn", "sb3-ppo"])
+@pytest.mark.parametrize("learner", LEARNERS)
 def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
     def steps(**asked) -> dict[str, int]:
         found = Asked(backend="replica", levels=(1,), arms=("control",), **asked).cells()

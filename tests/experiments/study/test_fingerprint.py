@@ -60,6 +60,24 @@ def test_a_simulator_that_behaves_otherwise_is_named_before_a_sweep_begins(monke
         check_dynamics([("sumo", "u-turn")])
 
 
+def test_of_a_new_task_the_simulators_that_have_it_are_added_alone(monkeypatch, tmp_path) -> None:
+    path = tmp_path / "fingerprints.json"
+    path.write_text('{"sumo": {"highway": {"name": "1", "behaviour": {"x": "2"}}}}')
+    monkeypatch.setattr(fingerprint, "TABLE", path)
+    monkeypatch.setattr(fingerprint, "driven", lambda backend, task: {"level 1": f"{len(backend)} 0.5"})
+    monkeypatch.setitem(TASKS, "own", TASKS["u-turn"])  # on no simulator
+    assert fingerprint.main(["merge", "own"]) == 0
+    table = fingerprint._table()
+    assert {part: list(own) for part, own in table.items()} == {
+        "sumo": ["highway", "merge"],
+        "replica": ["merge"],
+        "highway-env": ["merge"],
+    }
+    assert table["sumo"]["highway"]["name"] == "1"
+    with pytest.raises(UserError, match="merge"):
+        fingerprint.main(["merg"])
+
+
 def cells(*tasks: str) -> list[dict[str, Any]]:
     """Records of cells of today."""
     keys = [{"task": task, "backend": "sumo", "dynamics": known_dynamics("sumo", task)} for task in tasks]

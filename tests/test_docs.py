@@ -99,7 +99,7 @@ def test_a_snippet_runs_when_it_is_copied_alone(block: str, tmp_path: Path) -> N
 def test_the_steps_for_a_task_are_the_files_that_name_the_last_one() -> None:
     """Of those that highway-env has, as others take the first part of the steps alone; beside tests."""
     last = OF_HIGHWAY_ENV[-1]
-    steps, _, _ = page("developers/extending.md").partition("## A learner")
+    steps, _, _ = page("developers/extending.md").partition("## A key")
     rooms = "networks", "sumo_env", "agents", "experiments", "tests/golden"
     said = re.findall(rf"`((?:{'|'.join(rooms)})/[\w/.<>-]+)`", steps)
     word = re.compile(rf'"{last}"|\b{last}/|tasks\.{last}\b|import [\w, ]*\b{last}\b|(?<![.\w]){last}\(')

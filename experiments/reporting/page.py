@@ -145,6 +145,7 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "answered": bool(risky) and risky["status"] == OK,
         "risky": risky,
         "settings": risky.get("settings", 0),
+        "exploratory": [] if risky else [task for task in TASK_ORDER if task in set(single["task"])],
         "where": [
             {
                 **{"words": words, "simulator": place[0], "traffic": place[1]},

@@ -17,7 +17,7 @@ from agents.learners import LEARNERS
 from agents.streams import episode_seed
 from tests.experiments.fake_env import FakeEnv
 
-# Settings of a short training, and those that differ in an agent whose weights another one cannot take.
+# Settings of a short training, and those that differ in an agent whose weights another one cannot take, if any.
 SMALL: dict[str, tuple[Any, dict[str, Any]]] = {
     "dqn": (
         DQNConfig("dueling", updates=60, steps_per_update=2, warm_up=80, batch_size=8),
@@ -80,8 +80,9 @@ def test_a_training_is_stored_and_begun_again_to_the_same_bits(name: str, tmp_pa
     loaded = LEARNERS[name].load(path, small, make_env())
     for observation in np.random.default_rng(0).uniform(-1, 1, (20, 2, 5)).astype(np.float32):
         assert loaded.act(observation) == whole.policy.act(observation)
-    with pytest.raises(ValueError, match="another network"):
-        LEARNERS[name].load(path, replace(small, **others), make_env())
+    if others:
+        with pytest.raises(ValueError, match="another network"):
+            LEARNERS[name].load(path, replace(small, **others), make_env())
 
 
 def test_a_learner_names_the_packages_that_decide_its_bits() -> None:

@@ -44,3 +44,4 @@ def test_it_is_studied_and_decides_nothing(tmp_path: Path, here: None) -> None:
     assert set(analysis.claims["verdict"]) <= {"not decided"}  # no claim of the plan is on the merge
     assert set(analysis.effects["family"].fillna("")) == {""}
     assert "merge" in (tmp_path / "appendix.html").read_text()
+    assert "asks nothing about merge" in report.answer(tmp_path)

@@ -97,8 +97,15 @@ def test_tasks_are_on_the_side_that_the_plan_or_their_interval_says() -> None:
         "open": ["two-way"],
     }
     assert by_task.sides(found, "sumo", "crashed", ("sumo", "regular"))["more"] == ["two-way"]
-    per_distance = by_task.sides(found, "sumo", "crashes_per_100_km", ("sumo", "risky"))
-    assert per_distance == {"less": ["u-turn"], "more": [], "open": []}
+    speeds = rows_by_task(
+        ("u-turn", "sumo", "risky", "mean_speed", 10.0, 9.0, -1.4, -0.6),
+        ("two-way", "sumo", "risky", "mean_speed", 9.0, 9.5, 0.1, 0.9),
+        ("merge", "sumo", "risky", "mean_speed", 9.0, 9.1, -0.2, 0.4),
+    )
+    slower = by_task.sides(
+        analysis(by_task=speeds, primary=found.primary), "sumo", "mean_speed", ("sumo", "risky")
+    )
+    assert slower == {"less": ["u-turn"], "more": ["two-way"], "open": ["merge"]}
     away = by_task.sides(found, "sumo", "crashed", ("replica", "risky"))
     assert away == {"less": ["u-turn"], "more": [], "open": []}
 

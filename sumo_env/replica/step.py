@@ -16,6 +16,8 @@ from sumo_env.replica.motion import KP_ACCELERATION, MAX_SPEED, move, steer
 from sumo_env.replica.risk import push, return_from_swerve, start_events
 from sumo_env.traffic.scenario import SPAWN_DISTANCE
 
+# Of this type and no literal, for which Numba would compile all that reads it once more.
+NOBODY = np.int64(0)
 EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 # Rows of a frame of a trace, shape (frames, 6, cars):
 X, Y, SPEED, HEADING, CRASHED, IN_EVENT = range(6)
@@ -60,7 +62,7 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
 
 
 @inlined
-def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int, before_ego: int = 0) -> None:
+def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int, before_ego: int) -> None:
     """``Road.step``.
 
     count: number of this sub-step since the first vehicles were placed, from 1; before_ego: cars that highway-env has
@@ -106,7 +108,7 @@ def warm_up(lanes: Any, cars: Any, rules: Any, frames: int) -> None:
     locate(lanes, cars, places)
     for frame in range(frames):
         act(lanes, cars, places, rules)
-        step(lanes, cars, places, rules, frame + 1)
+        step(lanes, cars, places, rules, frame + 1, NOBODY)
 
 
 @compiled
@@ -148,7 +150,7 @@ def policy_step(lanes: Any, rules: Any, batch: Any, row: int, trace: Any) -> tup
     if rules.regulation_interval > 0 and episode.steps > 0:
         let_out_and_in(lanes, batch.cars[row], batch.arrivals[row], episode)
     cars, events = batch.cars[row, : episode.cars], batch.events[row, : episode.events]
-    crash, least, distance, before_ego = -1, math.inf, 0.0, 0
+    crash, least, distance, before_ego = -1, math.inf, 0.0, NOBODY
     for i in range(1, len(cars)):
         before_ego += cars[i].number < episode.first_arrival and not cars[i].is_ego
     places = no_places(lanes, cars)

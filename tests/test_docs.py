@@ -110,6 +110,28 @@ def test_the_steps_for_a_task_are_the_files_that_name_the_last_one() -> None:
     assert len(list(folder.iterdir())) % 4 == 0
 
 
+def ledger() -> dict[str, int]:
+    """Lines that are not blank, by the features of the page: a module's row is the one that names it most exactly."""
+    rows, owner = table(section(page("developers/ledger.md"), "By feature")), dict[str, str]()
+    for feature, (modules, *_) in rows.items():
+        for path in modules.replace("`", "").split():
+            start, _, inner = path.rstrip("}").partition("{")
+            owner |= {f"{start}{each}": feature for each in inner.split(",")}
+    lines = dict.fromkeys(rows, 0)
+    rooms, ends = ("networks", "sumo_env", "agents", "experiments"), ("py", "j2", "css")
+    for file in (file for room in rooms for end in ends for file in (ROOT / room).rglob(f"*.{end}")):
+        path = str(file.relative_to(ROOT))
+        feature = owner[max(filter(path.startswith, owner), key=len)]
+        lines[feature] += sum(bool(line.strip()) for line in file.read_text(encoding="utf-8").splitlines())
+    return lines
+
+
+def test_the_ledger_has_every_module_and_about_its_lines() -> None:
+    rows = table(section(page("developers/ledger.md"), "By feature"))
+    said = {feature: int(lines.replace(",", "")) for feature, (_, lines, *_) in rows.items()}
+    assert {name: n for name, n in ledger().items() if abs(n - said[name]) > max(25, 0.15 * n)} == {}
+
+
 # -- what the code has is named ----------------------------------------------------------------------------------------
 
 

@@ -45,7 +45,7 @@ from experiments.study.compute.rare import Batch, Question
 from experiments.study.compute.run import run
 from experiments.study.design.fingerprint import known_dynamics
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, in_words, unknown, writing
+from experiments.support.errors import UserError, check_known, in_words, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
 from sumo_env.tasks import TASKS
@@ -109,13 +109,11 @@ def rates_of(text: str) -> tuple[float, ...]:
 
 def question(options: Options) -> Question:
     """What the options ask. Raises UserError for what does not exist or makes no sense, before anything is driven."""
-    if options.task not in TASKS:
-        raise unknown("task", options.task, TASKS)
-    level = options.level or next(iter(TASKS[options.task].levels))
-    if level not in TASKS[options.task].levels:
-        raise unknown("level", level, TASKS[options.task].levels)
-    if options.executor not in EXECUTORS:
-        raise unknown("executor", options.executor, EXECUTORS)
+    check_known("task", [options.task], TASKS)
+    levels = TASKS[options.task].levels
+    level = options.level or next(iter(levels))
+    check_known("level", [level], levels)
+    check_known("executor", [options.executor], EXECUTORS)
     for name, is_right in (
         ("dose", 0.001 <= options.dose <= 1.0),
         ("reach", options.reach > 0.0),

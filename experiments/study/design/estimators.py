@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agents.plugins import sha256
+from experiments.support.errors import UserError
 
 if TYPE_CHECKING:
     from experiments.study.design.cell import Cell
@@ -14,18 +16,22 @@ FOLDER = Path(__file__).resolve().parents[3] / "results" / "estimators"
 
 
 def digest(cell: Cell) -> str:
-    """SHA-256 of the estimator of a cell's task and level. Raises ValueError where there is none."""
-    if not (found := known_digest(cell)):
-        name = f"{cell.task}-{cell.level_name}"
-        file = FOLDER / f"{name}.npz"
-        raise ValueError(f"two agents need an estimator {file}: python experiments/estimators.py {name}")
-    return found
-
-
-def known_digest(cell: Cell) -> str:
     """SHA-256 of the estimator of a cell's task and level; empty where there is none yet."""
     file = FOLDER / f"{cell.task}-{cell.level_name}.npz"
     return sha256(file) if file.exists() else ""
+
+
+def to_train(cells: Iterable[Cell]) -> str:
+    """The command that trains the estimators that cells mean and that are not there; empty if all are."""
+    missing = [cell for cell in cells if (cell.pair or {}).get("estimator_sha256") == ""]
+    names = dict.fromkeys(f"{cell.task}-{cell.level_name}" for cell in missing)
+    return f"python experiments/estimators.py {' '.join(names)}" if names else ""
+
+
+def check_there(cells: Iterable[Cell]) -> None:
+    """Raise UserError where an estimator has to be trained first."""
+    if command := to_train(cells):
+        raise UserError(f"two agents together need estimators that are not there: {command}")
 
 
 def file_of(wanted: str) -> Path:

@@ -24,7 +24,6 @@ from experiments.support.errors import UserError, check_known, in_words
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 PLANNED = 100  # test episodes of `drivers` in each traffic, at most
 Dynamics = Callable[[str, str], str]
-Digest = Callable[[Cell], str]
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
 
@@ -71,13 +70,12 @@ class Experiment:
     first_scenario: int = 0
 
     @in_words()
-    def cells(self, dynamics: Dynamics = dynamics, digest: Digest = digest) -> list[Cell]:
+    def cells(self, dynamics: Dynamics = dynamics) -> list[Cell]:
         """All of its cells: on each task and level the agents, their further tests, and the baselines.
 
         Args:
             dynamics: what a cell's key says of a simulator's behaviour, from (backend, task). By default a simulator
                 drives a task that `fingerprints.json` does not know.
-            digest: what the key of a test of two agents says of the estimator of its task and level.
 
         Raises:
             UserError: something does not exist or makes no sense.
@@ -95,7 +93,7 @@ class Experiment:
             cells += agents
             cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
             if self.pairs and self.learner == LEARNER and is_end(task, level):
-                cells += self._pairs(agents, digest)
+                cells += self._pairs(agents)
             cells += [replace(common, policy=name) for name in rules]
             if level == 1:
                 others = [
@@ -178,7 +176,7 @@ class Experiment:
                 where = {"backend": other, "env_config": config, "dynamics": dynamics(other, agent.task)}
                 yield _tested(agent, TRAFFICS, TRANSFER_EPISODES.get(other, most), **where)
 
-    def _pairs(self, agents: Sequence[Cell], digest: Digest) -> Iterator[Cell]:
+    def _pairs(self, agents: Sequence[Cell]) -> Iterator[Cell]:
         """The tests of control agent k and treated agent k together."""
         by_place = {(agent.arm, agent.seed): agent for agent in agents}
         for (arm, seed), control in by_place.items():

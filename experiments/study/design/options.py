@@ -9,8 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from experiments.study.design.cell import Cell
-from experiments.study.design.estimators import digest
-from experiments.study.design.experiment import Digest, Dynamics, Experiment
+from experiments.study.design.experiment import Dynamics, Experiment
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.presets import PRESETS
 from experiments.study.design.sheet import GRID
@@ -91,9 +90,9 @@ class Asked:
         found = replace(PRESETS[self.preset], **{name: v for name, v in given.items() if v is not None})
         return replace(found, at_ends={}) if self.arms or self.placebo else found
 
-    def cells(self, dynamics: Dynamics = dynamics, digest: Digest = digest) -> list[Cell]:
+    def cells(self, dynamics: Dynamics = dynamics) -> list[Cell]:
         """All cells of the experiment. Raises UserError where something does not exist, or asks for nothing."""
-        cells = self.experiment.cells(dynamics, digest)
+        cells = self.experiment.cells(dynamics)
         for option, is_answered in self._answers(cells):
             if not is_answered:
                 raise UserError(f"{option} asks for nothing here: leave it out")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import torch
 
 from agents.belief import Estimator
 from agents.extra_column import Observed
-from experiments import sweep
+from experiments import sweep, train
 from experiments.study.design import estimators
 from experiments.study.design.arms import PAIRS
 from experiments.study.design.cell import Cell, cell_name
@@ -71,10 +72,16 @@ class TestCells:
         key["pair"] = {**key["pair"], "rule": {"weighed": [9.0, 0.1]}}
         assert cell_name(key, cell.versions) != cell.name
 
-    def test_without_an_estimator_the_error_names_its_file(self, own_estimators: Path) -> None:
+    @pytest.mark.parametrize("command", [sweep.sweep, train.train])
+    def test_without_an_estimator_nothing_begins(
+        self, command: Any, own_estimators: Path, tmp_path: Path
+    ) -> None:
         (own_estimators / "u-turn-3.npz").unlink()
-        with pytest.raises(UserError, match=r"u-turn-3\.npz"):
-            pairs()
+        options = sys.modules[command.__module__].Options
+        asked = options(out=tmp_path / "new", tasks=("u-turn",), arms=("control", "treatment"), **ASKED)
+        with pytest.raises(UserError, match=r"estimators\.py u-turn-3$"):
+            command(asked, [])
+        assert not (tmp_path / "new").exists()
 
     def test_a_dry_run_needs_no_estimator_and_names_those_that_are_missing(
         self, own_estimators: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -286,8 +286,7 @@ def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
         ("absent", "absent cannot be computed: KeyError"),
     ],
 )
-def test_an_outcome_that_is_no_number_for_each_episode_is_refused(name, message, tmp_path):
+def test_an_outcome_that_is_no_number_for_each_episode_is_refused(name, message, directory, tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
-    synthetic.write(tmp_path, {"u-turn": (1,)}, tests=6)
     with pytest.raises(UserError, match=message):
-        report.write_report(tmp_path, own=dict([report.own_outcome(f"{tmp_path}/mine.py:{name}")]))
+        report.write_report(directory, own=dict([report.own_outcome(f"{tmp_path}/mine.py:{name}")]))

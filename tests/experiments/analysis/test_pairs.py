@@ -225,9 +225,5 @@ def test_a_report_answers_the_question_and_has_a_row_for_everybody_who_drives(ho
     fewer = tables.pairs(replace(found, policies=found.policies[~lost]), "sumo")
     # a mean over fewer tasks is not put beside the others
     assert {*rates.index} - {*fewer["who drives"]} == {tables.WHO_DRIVES["weighed"]}
-    shown = tables.bounds(found, "sumo").set_index(["minus", "task"])
-    bound = found.price.query("against == 'control' and scope == 'all tasks'").iloc[0]
-    line = shown.loc["one control agent, regular traffic", "mean of the tasks"]
-    assert line["crashes [points]"] == tables.points(bound["estimate"], "crashed")
-    assert line["allowed"] == "below +2.5" and line["answer"].startswith(bound["verdict"])
+    shown = tables.bounds(found, "sumo")
     assert len(shown) == 2 * 3 and tables.bounds(found, "sumo", "densest").empty

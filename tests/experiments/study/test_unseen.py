@@ -59,7 +59,7 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
     traffics = (*unseen_traffics("roundabout"), "measured")
     assert set(traffics) == set(UNSEEN)
     tables = [
-        evaluate(env, make_policy("idle", env), drives("roundabout", 1, range(6), order)).set_index("traffic")
+        evaluate(env, make_policy("idle", env), drives("roundabout", 1, range(3), order)).set_index("traffic")
         for order in (traffics, traffics[::-1])
     ]
     for traffic in traffics:

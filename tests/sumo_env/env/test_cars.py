@@ -166,7 +166,9 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
     ]
     ours = both[1]
     compared = 0
-    for seed in range(3):
+    for seed in range(5):
+        if compared >= 15:
+            break
         found: list[Any] = [env.reset(seed=seed) for env in both]
         ours.action_space.seed(seed)
         is_over = False

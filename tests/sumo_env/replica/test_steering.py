@@ -121,7 +121,7 @@ def test_every_way_to_steer(action: dict[str, Any], task: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("id", sumo_env.LATER_IDS)
 def test_later_versions_are_those_of_highway_env(id: str) -> None:
-    """Defaults, observations, actions, rewards; one of three episodes goes on with the stream of the one before."""
+    """Defaults, observations, actions, rewards; the second episode goes on with the stream of the one before."""
     task, version = sumo_env.task_of(id), sumo_env.version_of(id)
     theirs, ours = pair(task, {}, version)
     assert (theirs.observation_space, theirs.action_space) == (ours.observation_space, ours.action_space)
@@ -131,7 +131,7 @@ def test_later_versions_are_those_of_highway_env(id: str) -> None:
         == ours.unwrapped.config[connected]
         == (id != "replica/intersection-v1")
     )
-    found = [(seed, what) for seed in range(3) if (what := episode(theirs, ours, seed, wild))]
+    found = [(seed, what) for seed in (1, 2) if (what := episode(theirs, ours, seed, wild))]
     assert found == []
 
 

@@ -121,6 +121,11 @@ def test_goals_beyond_what_rewards_allow_are_clipped_and_counted() -> None:
     for reward in (-0.5, 0.25):
         agent.replay.add(np.zeros((2, 5)), 0, reward, np.zeros((2, 5)), False)
     assert agent.bounds == pytest.approx((-50.0, 25.0))
+    watched = Training(agent, road())
+    for agent.updates, agent.clipped in ((10, 16), (14, 24)):
+        watched.watch()
+    size = config.batch_size
+    assert watched.goals_clipped == [[10, 16 / (10 * size)], [14, 8 / (4 * size)]]  # since the row before
 
 
 def test_values_are_watched_on_the_first_observations() -> None:

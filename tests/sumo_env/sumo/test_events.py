@@ -300,12 +300,14 @@ def test_cut_ins_look_for_the_longest_vehicle_once_in_a_sub_step(simulator: Sumo
 def test_surging_vehicles_look_at_those_near_them_alone(
     simulator: SumoSimulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same events with four times the vehicles on the road: not four times as many looks at each."""
+    """The same events with four times the vehicles: as many looks at each, and the way is free where it is for all."""
     looked: list[int] = []
 
     def counted(vehicle: State, others: Iterable[State], way: float) -> bool:
         looked.append(len(states := list(others)))
-        return free_way(vehicle, states, way)
+        is_free = free_way(vehicle, states, way)
+        assert is_free == free_way(vehicle, simulator._events._look().values(), way)
+        return is_free
 
     monkeypatch.setattr("sumo_env.sumo.events.free_way", counted)
     found = []

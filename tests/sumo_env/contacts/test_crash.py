@@ -77,6 +77,17 @@ def test_a_report_of_sumo_alone_counts_within_a_tenth_of_a_metre(gap: float, cou
         assert (crash.other, crash.detected_by, crash.type, crash.time) == ("v1", "sumo", "side", 2.0)
 
 
+@pytest.mark.parametrize(("gap", "counts"), [(0.09, True), (0.11, False)])
+def test_a_report_counts_by_the_outlines_of_both(gap: float, counts: bool) -> None:
+    """A lorry of 12 m by 2.5 m stands across the way of the ego."""
+    lorry, car = (6.0, 1.25), (2.5, 1.0)
+    before, after = state(0.0, 0.0, 0.0, 20.0), state(2.0, 0.0, 0.0, 20.0)
+    across = state(2.0 + 2.5 + 1.25 + gap, 0.0, math.pi / 2)
+    pair = ("ego", "v1"), (before, across), (after, across)
+    crash = CrashDetector().detect(2.0, 0.1, *pair, {"v1"}, (car, lorry))
+    assert (crash is not None) == counts
+
+
 def test_who_is_not_near_does_not_count_reported_or_not() -> None:
     assert look(CrashDetector(), [FAR, FAR], [FAR, FAR]) is None
     beside = [state(2.0, 2.05), FAR]

@@ -89,6 +89,7 @@ def test_each_way_on_has_its_colour_at_the_stop_line(lights: Path, paint: Any) -
         view = Camera.of(env.scene, VIEW)._replace(corner=np.rint(np.array([x, y]) * 8.0 - 45).astype(int))
         picture = scenery(env.scene, road, view, paint)
         ways = road.stops[lane]
+        assert list(ways) == sorted(ways) and len(ways) > 1
         for number, (name, place) in enumerate(ways):
             lateral = road.lane(lane).width * (0.5 - (number + 0.5) / len(ways))
             spot = view.place(*road.lane(lane).position(road.lane(lane).length - 0.4, lateral))

@@ -44,8 +44,11 @@ class Surroundings:
 
     def list_vehicles(self) -> None:
         """Read which vehicles are on the road, and look at all of them next."""
-        self._others = [name for name in self._session.vehicles() if name != self._name]
+        self._list_others()
         self._due: dict[str, float] = {}  # distant vehicle -> time before which it cannot be near [s]
+
+    def _list_others(self) -> None:
+        self._others = [name for name in self._session.vehicles() if name != self._name]
 
     def update(self, time: float, speed: float) -> None:
         """Look around after the sub-step that ended at `time` [s] with the ego's `speed` [m/s].
@@ -53,7 +56,9 @@ class Surroundings:
         A distant vehicle is skipped until it may have come near (conservative advancement).
         """
         if self._session.changed:
-            self.list_vehicles()
+            self._list_others()
+            for name in self._session.simulation.getDepartedIDList():  # perhaps by the name of one that has left
+                self._due.pop(name, None)
         others, due = self._others, self._due
         if due:
             others = [name for name in others if due.get(name, time) <= time]

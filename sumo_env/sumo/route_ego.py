@@ -256,7 +256,8 @@ class RouteEgo:
         if self.ended == "removed":
             progress = 0.0
         else:
-            progress = (self._left - (0.0 if arrived else self._remaining())) / max(self._way, 1.0)
+            driven = self._left - (0.0 if arrived else self._remaining())
+            progress = driven / self._way if self._way > 0.0 else float(arrived)
         return Place(
             lane=self._index,
             left=left,

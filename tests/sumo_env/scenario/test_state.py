@@ -106,6 +106,17 @@ def test_a_car_that_parks_makes_no_progress_and_is_paid_no_more_than_the_way(tmp
                     assert stopped and results[-1][-1]["arrived"]
 
 
+@pytest.mark.parametrize("length", [4.0, 5.0, 5.2, 5.8, 7.0])
+def test_the_whole_way_is_paid_however_short_it_is(tmp_path: Path, length: float) -> None:
+    """The ego begins with its front 5 m after the start of the road, or at its end."""
+    road = build(tmp_path, (f"a 0 0, b {length} 0", "ab a b 1 10"))
+    with closing(SumoDrivingEnv(road, [], ["ab"], {"duration": 20})) as env:
+        env.reset(seed=0)
+        results = list(drive(env, FASTER))
+    assert results[-1][4]["ending"] == "arrived"
+    assert sum(info["rewards"]["progress_reward"] for *_, info in results) == pytest.approx(1.0, abs=1e-9)
+
+
 @pytest.mark.parametrize("ballistic", [False, True])
 @pytest.mark.parametrize("frequency", [1, 2, 10])
 def test_the_metres_of_a_step_are_sumo_s(tmp_path: Path, ballistic: bool, frequency: int) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sumo_env.config import COMMON, refuse_arguments
 from sumo_env.env import DrivingEnv
+from sumo_env.simulator import SimulatorError
 from sumo_env.spaces.interface import actions_of, seeds_of
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import get_task
@@ -28,9 +29,11 @@ from sumo_env.tasks.base import Task
 class SumoVectorEnv(SyncVectorEnv):
     """`num_envs` environments of one task, whose simulations run in parallel.
 
-    A worker that dies (a crash of SUMO, the system's out-of-memory killer) or hangs is replaced. The step that meets
-    this reports the episode truncated, with reward 0, the last observation once more, and ``infos["worker_died"]`` True
-    (only then is there such a key). The environment's next episode is drawn by its own generator, as always.
+    Where SUMO cannot go on with an episode, the others lose nothing: the step that meets this warns and reports that
+    episode truncated, with reward 0, the last observation once more, and ``infos["ending"]`` "simulator error". A
+    worker that dies (a crash of SUMO, the system's out-of-memory killer) or hangs is replaced, and
+    ``infos["worker_died"]`` is True (only then is there such a key). The environment's next episode is drawn by its own
+    generator, as always.
 
     Args:
         num_envs: how many.
@@ -127,7 +130,7 @@ class SumoVectorEnv(SyncVectorEnv):
 class _Ahead(gym.Wrapper[Any, Any, Any, Any]):
     """Begins a step or a reset in a thread, and gives its result when `step` or `reset` is called.
 
-    An episode whose worker has died is truncated.
+    An episode that its simulator cannot go on with is truncated.
     """
 
     def __init__(self, env: DrivingEnv, pool: ThreadPoolExecutor) -> None:
@@ -159,8 +162,9 @@ class _Ahead(gym.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         try:
             result = self._result() if self._begun else self.env.step(action)
-        except SimulatorDied as died:
-            gym.logger.warn("%s", died)
-            return self._seen, 0.0, False, True, {"worker_died": True}
+        except SimulatorError as error:
+            gym.logger.warn("%s", error)
+            died = {"worker_died": True} if isinstance(error, SimulatorDied) else {}
+            return self._seen, 0.0, False, True, {"ending": "simulator error", **died}
         self._seen = result[0]
         return result

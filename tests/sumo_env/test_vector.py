@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import warnings
 from typing import Any
 
 import gymnasium as gym
@@ -115,3 +116,30 @@ def test_a_worker_that_died_before_a_reset_loses_nothing(envs: SumoVectorEnv) ->
     np.testing.assert_array_equal(observations, expected)
     assert "worker_died" not in infos
     assert not envs.step([1, 1])[3].any()
+
+
+def test_an_episode_that_cannot_go_on_ends_alone() -> None:
+    """On a roundabout whose time is too long for a fast car: it drives off the end of the road."""
+    config, fast, slow = {"vehicles_count": 0, "duration": 60}, 3, 4
+    envs = gym.make_vec("sumo/roundabout-v0", num_envs=2, config=config)
+    other = DrivingEnv("roundabout", config)
+    last, _ = envs.reset(seed=0)[0][1], other.reset(seed=0)
+    for _ in range(60):
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            seen, rewards, terminated, truncated, infos = envs.step([slow, fast])
+        single = other.step(slow)
+        assert_same_bits(seen[0], single[0])
+        assert not terminated[0] and not truncated[0]
+        if truncated[1]:
+            break
+        last = seen[1]
+    assert "driven off the end" in str(warned[-1].message) and "worker_died" not in infos
+    assert (terminated[1], rewards[1], infos["ending"].tolist()) == (False, 0.0, ["", "simulator error"])
+    np.testing.assert_array_equal(seen[1], last)
+    for _ in range(2):  # its reset, and the next episode's first step
+        seen, rewards, terminated, truncated, infos = envs.step([slow, fast])
+        assert_same_bits(seen[0], other.step(slow)[0])
+        assert not (terminated | truncated).any() and rewards[1] >= 0.0
+    envs.close()
+    other.close()

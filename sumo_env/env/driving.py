@@ -20,7 +20,7 @@ from sumo_env.env.screen import OnScreen
 from sumo_env.env.sumo_access import OwnSumo
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import Scene
-from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
+from sumo_env.simulator import Command, Commands, Driven, EgoCommand, EgoStep, Simulator, Step, WindowClosed
 from sumo_env.spaces.actions import PlainAction
 from sumo_env.spaces.info import ending, information, on_its_way, paid_late
 from sumo_env.spaces.interface import interface
@@ -176,7 +176,7 @@ class DrivingEnv(OnScreen, OwnSumo):
         self.scenario = scenario
         if self._simulator is None:
             self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
-        self._commands: list[Commands] = []
+        self._commands = Driven()
         self._met = None
         return scenario, self._simulator.reset(scenario)
 

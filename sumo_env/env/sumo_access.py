@@ -16,7 +16,7 @@ import gymnasium as gym
 from sumo_env.compat.as_highway_env import ReadAsHighwayEnv
 from sumo_env.config import ConfigError
 from sumo_env.networks import files
-from sumo_env.simulator import Commands, Simulator
+from sumo_env.simulator import Driven, Simulator
 from sumo_env.sumo import export
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo
@@ -34,7 +34,7 @@ class OwnSumo(ReadAsHighwayEnv):
     _given: Simulator | None
     _simulator: Simulator | None
     _options: dict[str, str]
-    _commands: list[Commands]
+    _commands: Driven
     _handed_over = False
     _leader: Self | None = None  # of a further learning car: the first one's, with the scenario of all
     steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`

@@ -72,21 +72,22 @@ class Network:
     meeting: Meeting | None = None
 
     def stretch(self, sumo_lane: str) -> float:
-        """SUMO's length of a lane over its drawn length: the factor for a commanded ground speed."""
+        """SUMO's length of a lane over its drawn length, if it has one: the factor for a commanded ground speed."""
         lane = self.sumo_lanes[sumo_lane]
-        return lane.length / lane.drawn
+        return lane.length / lane.drawn if lane.drawn > 0.0 else 1.0
 
     def sumo_route(self, index: LaneIndex, destination: str | None = None) -> str:
         """Key in `routes` for a vehicle on lane `index` bound for node `destination`.
 
-        A node short of an end ("nxs") stands for the end that follows it; None for the only end there is, or the first
-        one where lanes part. Raises ValueError, naming the choices, if no route leads there.
+        A node short of an end ("nxs") stands for the end that follows it; None for the only end there is, or where
+        lanes part for the one that the lane leads to, else the first one. Raises ValueError, naming the choices, if no
+        route leads there.
         """
         start = f"{index[0]}-{index[1]}>"
         if destination is None:
             ends = [key for key in self.routes if key.startswith(start)]
             if len(ends) == 1 or (ends and self.parting):
-                return ends[0]
+                return self.leading_on(ends[0], self.lanes[index].id)
         else:
             end = destination
             while end not in self.road.ends and len(self.road.successors.get(end, ())) == 1:

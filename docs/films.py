@@ -97,9 +97,8 @@ def with_danger(task: str) -> int:
             observation, _, terminated, truncated, info = env.step(policy.act(observation))
             scene = env.scene
             apart = np.hypot(scene.x - scene.x[0], scene.y - scene.y[0]).tolist()
-            acting = any(
-                name in scene.in_event for name, far in zip(scene.ids, apart, strict=True) if far < NEAR
-            )
+            near = [name for name, far in zip(scene.ids, apart, strict=True) if far < NEAR]
+            acting = any(name in scene.in_event for name in near)
             dangerous = dangerous or (second <= EARLY and info["near_miss"] and acting)
             if terminated or truncated:
                 break
@@ -112,9 +111,8 @@ def with_danger(task: str) -> int:
 def environments() -> None:
     """One frame for the page of each task."""
     for task, (seed, steps, config) in PAGES.items():
-        film(task, seed, "idle", config, steps)[-1].quantize(64).save(
-            IMAGES / "environments" / f"{task}.png", optimize=True
-        )
+        picture = film(task, seed, "idle", config, steps)[-1].quantize(64)
+        picture.save(IMAGES / "environments" / f"{task}.png", optimize=True)
 
 
 def films() -> None:
@@ -167,9 +165,8 @@ def scenarios() -> None:
 def town() -> None:
     """The film that the script of docs/scenarios.md makes; needs eclipse-sumo."""
     page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
-    (script,) = (
-        block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "town.gif" in block
-    )
+    scripts = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (script,) = (script for script in scripts if "town.gif" in script)
     with tempfile.TemporaryDirectory() as folder:
         paths = {**os.environ, "PYTHONPATH": str(ROOT)}
         subprocess.run([sys.executable, "-c", script], cwd=folder, env=paths, check=True)

@@ -68,14 +68,15 @@ def entries(outcome: str) -> str:
 
     What was driven on another set or another simulator is left out.
     """
-    lines = [["driver", *GRID, "scenarios"], ["---"] * (len(GRID) + 2)]
+    lines = [["driver", *GRID]]
     for name, card in evaluate.entries().items():
         cells: dict[str, list[str]] = {task: [] for task in GRID}
         for row in card["rows"]:
             if row["level"] == ALL and card["set"][row["task"]] == evaluate.identity(row["task"]):
                 cells[row["task"]].append(points(row[outcome][0], outcome, signed=False))
-        lines.append([f"`{name}`", *map("/".join, cells.values()), str(card["scenarios"])])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        lines.append([f"`{name}`", *map("/".join, cells.values())])
+    head, *rows = (f"| {' | '.join(line)} |" for line in lines)
+    return "\n".join([head, f"|{'---|' * (len(GRID) + 1)}", *rows])
 
 
 # -- pages -------------------------------------------------------------------------------------------------------------

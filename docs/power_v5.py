@@ -76,13 +76,8 @@ def of_bounds() -> pd.DataFrame:
     drives = drives.replace({"arm": {"belief": "weighed"}})
     there = drives.groupby(["task", "seed"])["arm"].transform("nunique")
     drives, rows = drives[there == 3], []
-    for name, kept in (
-        ("all pairs", drives),
-        (
-            "without the diverged one",
-            drives[(drives["task"] != DIVERGED[0]) | (drives["seed"] != DIVERGED[1])],
-        ),
-    ):
+    sound = drives[(drives["task"] != DIVERGED[0]) | (drives["seed"] != DIVERGED[1])]
+    for name, kept in (("all pairs", drives), ("without the diverged one", sound)):
         for bound in STUDY.price[:2]:
             asked = {("weighed", bound.against): [("crashed", bound.term)]}
             for row in means(contrasts(arms_of(kept, ["crashed"]), asked), STUDY).itertuples():

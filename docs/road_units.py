@@ -126,17 +126,15 @@ def main(tasks: list[str]) -> None:
             print(line, flush=True)
             lines.append(pd.DataFrame([line]))
     table = pd.concat([part for part in lines if len(part)])
-    table.sort_values(["task"], key=lambda names: names.map(list(TASKS).index), kind="stable").to_parquet(
-        TABLE, index=False
-    )
+    table = table.sort_values(["task"], key=lambda names: names.map(list(TASKS).index), kind="stable")
+    table.to_parquet(TABLE, index=False)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument(
-        "tasks", nargs="*", metavar="TASK", help=f"of {', '.join(TASKS)}; by default the study's"
-    )
+    known = ", ".join(TASKS)
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {known}; by default the study's")
     named = parser.parse_args().tasks or list(GRID)
     if unknown := set(named) - TASKS.keys():
-        parser.error(f"unknown task {sorted(unknown)[0]!r}: choose from {', '.join(TASKS)}")
+        parser.error(f"unknown task {sorted(unknown)[0]!r}: choose from {known}")
     main(named)

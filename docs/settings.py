@@ -1,7 +1,8 @@
 """Settings of Stable-Baselines3 that learn: ``python docs/settings.py`` makes the rows that docs/settings.json lacks.
 
-A row is TASK/RISK/DRIVER: the seed of a training, "random", or an action that is always taken. Tasks have the defaults
-of their ids, which are light traffic. ``make pages`` makes a table of the rows (`trainings`), README's among them.
+A row is TASK/RISK/DRIVER: the seed of a training, "random", an action that is always taken, or "study", the published
+agent that was trained at this risk in the task's lightest traffic. Tasks have the defaults of their ids, also light
+traffic. ``make pages`` makes a table of the rows (`trainings`).
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ from typing import Any
 import gymnasium as gym
 import pandas as pd
 
+from sumo_env.tasks import TASKS as LEVELS
+
 ROWS = Path(__file__).with_suffix(".json")
 # Policy steps of an episode; each pays at most 1.
 TASKS = {"highway-fast": 30, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 RISKS, SEEDS = (0, 1), ("0", "1", "2")
 README, MORE_SEEDS = ("u-turn", 1), ("3",)  # README's script has ten trainings
 SCENARIOS, STEPS = range(5000, 5100), 15_000  # README's; 100 scenarios, so that crashes are in %
+ARMS = ("control", "treatment")  # by risk
 DIGITS = {"return": 1, "crashes": 0, "speed": 1}
 DQN = {
     "learning_rate": 5e-4,
@@ -38,10 +42,14 @@ DQN = {
 }
 
 
-def drive(env: gym.Env[Any, Any], act: Callable[[Any], Any]) -> dict[str, float]:
+Act = Callable[[Any], Any]
+
+
+def drive(env: gym.Env[Any, Any], act: Act, begin: Callable[[], None] = lambda: None) -> dict[str, float]:
     """Mean return, crashes [%] and mean speed [m/s] in the scenarios."""
     returned, crashes, speeds = 0.0, 0, []
     for seed in SCENARIOS:
+        begin()
         seen, over = env.reset(seed=seed)[0], False
         while not over:
             seen, reward, terminated, truncated, info = env.step(act(seen))
@@ -51,8 +59,15 @@ def drive(env: gym.Env[Any, Any], act: Callable[[Any], Any]) -> dict[str, float]
     return {"return": returned / 100, "crashes": crashes, "speed": fmean(speeds)}
 
 
-def row(env: gym.Env[Any, Any], driver: str, actions: dict[str, int]) -> dict[str, float]:
+def row(env: gym.Env[Any, Any], task: str, risk: int, driver: str) -> dict[str, float]:
     """What a driver does, and the CPU seconds of its training."""
+    actions = {name: number for number, name in env.unwrapped.actions.items()}  # type: ignore[attr-defined]
+    if driver == "study":
+        import agents
+
+        name = task.removesuffix("-fast")
+        policy = agents.load(f"{name}-{next(iter(LEVELS[name].levels))}", ARMS[risk])
+        return drive(env, policy.act, policy.reset)
     if not driver.isdigit():
         env.action_space.seed(0)
         return drive(env, lambda _: actions[driver] if driver in actions else env.action_space.sample())
@@ -86,20 +101,23 @@ def readme_agents() -> dict[str, float]:
 
 
 def trainings() -> str:
-    """The lines of the table: agents (median, least, most), random, the best constant action, how far agents lead."""
+    """The lines of the table: agents (median, least, most), others; bold: returns 5 % ahead of constant actions."""
     lines = []
     for task, risk in product(TASKS, RISKS):
         agents, others = of_line(task, risk)
-        best = others["return"].idxmax()
+        best = others["return"].drop("study").idxmax()
+        ahead = others.loc[best, "return"] + 0.05 * TASKS[task]
         cells = [task, f"{risk}"]
         for key, digits in DIGITS.items():
             least, middle, most = (f"{value:.{digits}f}" for value in agents[key].quantile([0, 0.5, 1]))
             cells.append(middle if key == "speed" else f"{middle} ({least}–{most})")
-        for name in ("random", best):
+        if agents["return"].median() >= ahead:
+            cells[2] = f"**{cells[2]}**"
+        for name in ("study", "random", best):
             cells.append("/".join(f"{others.loc[name, key]:.{digits}f}" for key, digits in DIGITS.items()))
-        cells[-1] = f"{best} {cells[-1]}"
-        lead = 100 * (agents["return"].median() - others.loc[best, "return"]) / TASKS[task]
-        lines.append(f"| {' | '.join(cells)} | {f'**{lead:+.0f}**' if lead >= 5 else f'{lead:+.0f}'} |")
+        if others.loc["study", "return"] >= ahead:
+            cells[5] = f"**{cells[5]}**"
+        lines.append(f"| {' | '.join(cells[:-1])} | {best} {cells[-1]} |")
     return "\n".join(lines)
 
 
@@ -107,11 +125,11 @@ def main() -> None:
     """Make the rows."""
     for task, risk in product(TASKS, RISKS):
         with closing(gym.make(f"sumo_env:sumo/{task}-v0", config={"risk": risk})) as env:
-            actions = {name: number for number, name in env.unwrapped.actions.items()}  # type: ignore[attr-defined]
-            for driver in (*seeds(task, risk), "random", *actions):
+            actions = env.unwrapped.actions.values()  # type: ignore[attr-defined]
+            for driver in (*seeds(task, risk), "random", "study", *actions):
                 rows = json.loads(ROWS.read_text()) if ROWS.exists() else {}
                 if (name := f"{task}/{risk}/{driver}") not in rows:
-                    rows[name] = {key: round(value, 3) for key, value in row(env, driver, actions).items()}
+                    rows[name] = {key: round(value, 3) for key, value in row(env, task, risk, driver).items()}
                     ROWS.write_text(json.dumps(rows, indent=1) + "\n")
                     print(name, rows[name], flush=True)
 

@@ -101,16 +101,14 @@ def make(name, folder, config=None, **keywords):
     if not net.exists():
         tool = sumolib.checkBinary(command[0])
         subprocess.run([tool, *command[1:], f"--output-file={net}"], check=True, capture_output=True)
-    return SumoDrivingEnv(
-        net, **scenario, config={**CONFIG[name], **AGENT.get(name, {}), **(config or {})}, **keywords
-    )
+    config = {**CONFIG[name], **AGENT.get(name, {}), **(config or {})}
+    return SumoDrivingEnv(net, **scenario, config=config, **keywords)
 
 
 def ending(info):
     """How an episode ended, in a word."""
-    return next(
-        (name for name in ("crashed", "arrived", "missed_turn", "removed") if info[name]), "time is up"
-    )
+    names = "crashed", "arrived", "missed_turn", "removed"
+    return next((name for name in names if info[name]), "time is up")
 
 
 def drive(env, act, seeds, begin=lambda seed: None):
@@ -212,6 +210,11 @@ def row(key, folder, seeds, steps):
     return found
 
 
+def stored(out):
+    """All lines that are there; another process may write some as well."""
+    return json.loads(out.read_text()) if out.exists() else {}
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -221,18 +224,13 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, nargs="+", help=f"of the trainings, by default {TRAININGS}")
     parser.add_argument("--steps", type=int, help="of a training")
     parser.add_argument("--episodes", type=int, default=100, help="of the test, at each dose")
-    parser.add_argument(
-        "--tune", action="store_true", help="train and test on the seeds for the choice of settings"
-    )
+    parser.add_argument("--tune", action="store_true", help="train and test on the seeds for choices")
     args = parser.parse_args()
     torch.set_num_threads(1)
     out, first = Path(args.out), TUNE if args.tune else TEST
     with tempfile.TemporaryDirectory() as folder:
         for key in rows(args.seeds or (TRIALS if args.tune else TRAININGS)):
-            if key.startswith(args.only) and key not in (json.loads(out.read_text()) if out.exists() else {}):
+            if key.startswith(args.only) and key not in stored(out):
                 line = row(key, folder, range(first, first + args.episodes), args.steps)
-                lines = (
-                    json.loads(out.read_text()) if out.exists() else {}
-                )  # another process may write as well
-                out.write_text(json.dumps({**lines, key: line}, indent=1) + "\n")
+                out.write_text(json.dumps({**stored(out), key: line}, indent=1) + "\n")
                 print(key, line, flush=True)

@@ -201,7 +201,7 @@ def test_settings_that_learn_are_those_of_readme_s_script() -> None:
         env: Any = gym.make(f"sumo/{task}-v0").unwrapped
         assert env.config["duration"] * env.config["policy_frequency"] == steps
         for risk in settings.RISKS:
-            drivers = (*settings.seeds(task, risk), "random", *env.actions.values())
+            drivers = (*settings.seeds(task, risk), "random", "study", *env.actions.values())
             expected |= {f"{task}/{risk}/{driver}" for driver in drivers}
         env.close()
     assert rows.keys() == expected

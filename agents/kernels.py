@@ -39,8 +39,9 @@ def compiled(function: Callable[..., Any]) -> Any:
         return numba.njit(**options)(function)
 
 
-# Parts of the network, each of some linear layers, and their names in `EgoAttention`.
-EGO, OTHERS, QUERY, OUTPUT, BASE, VALUE, ADVANTAGE = range(7)
+# Parts of the network, each of some linear layers, and their names in `EgoAttention`. Numbers of this type are no
+# literals, for each of which Numba would compile `through` and `back` once more.
+EGO, OTHERS, QUERY, OUTPUT, BASE, VALUE, ADVANTAGE = map(np.int64, range(7))
 PARTS = "ego", "others", "query", "output", "base", "value", "advantage"
 INPUTS, WIDTH, IS_RECTIFIED, WEIGHTS, BIASES, ROWS, VALUES = range(7)  # columns of `Pass.layers`
 

@@ -134,7 +134,8 @@ class TestAnswer:
     """Numbers of the answer stand where they belong: risky with risky, treated with treated."""
 
     @pytest.fixture(scope="class")
-    def analysis(self, tmp_path_factory, words_alone):
+    @classmethod
+    def analysis(cls, tmp_path_factory, words_alone):
         home = tmp_path_factory.mktemp("answer")
         synthetic.write(home, {"highway": (1,), "u-turn": (1, 2)}, seeds=6, tests=60, effect=-0.4)
         [found] = reported(home)

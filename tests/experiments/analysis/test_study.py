@@ -166,7 +166,8 @@ class TestStages:
     """A folder whose first stage is complete; of the second an agent is lost."""
 
     @pytest.fixture(scope="class")
-    def home(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    @classmethod
+    def home(cls, tmp_path_factory: pytest.TempPathFactory) -> Path:
         home = tmp_path_factory.mktemp("stages")
         cells = synthetic.write(home, STAGED, seeds=2, tests=100, effect=-0.4, spread=0.0, preset="small")
         [lost] = [cell.name for cell in cells if cell.slug == "sumo-u-turn-6-treatment-s1"]
@@ -174,7 +175,8 @@ class TestStages:
         return home
 
     @pytest.fixture(scope="class")
-    def analysis(self, home: Path) -> Analysis:
+    @classmethod
+    def analysis(cls, home: Path) -> Analysis:
         return analyse(load(home))
 
     def test_what_is_not_complete_is_named_and_not_counted(self, analysis: Analysis) -> None:

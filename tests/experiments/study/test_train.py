@@ -12,7 +12,7 @@ import pytest
 from agents.learner import Trained
 from agents.streams import episode_seed
 from experiments.study.compute.cell_task import CellTask
-from experiments.study.compute.train import train_cell
+from experiments.study.compute.train import CURVE, learning_curve, train_cell
 from experiments.study.design.arms import EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
@@ -73,3 +73,17 @@ def test_a_drawn_dose_is_met_logged_and_the_same_again(met) -> None:
     again, log, _ = trained()
     assert weights(again.policy) == weights(whole.policy)
     assert log.equals(episodes)
+
+
+def test_a_learning_curve_is_of_equal_parts_of_the_steps() -> None:
+    """Two episodes in each part, the second one at its end; in the sixth none ends."""
+    steps = [step for k in range(CURVE) if k != 5 for step in (100 * k + 50, 100 * k + 100)]
+    episodes = {
+        "step": steps,
+        "return": [step / 100 for step in steps],
+        "crashed": [step % 100 > 0 for step in steps],
+    }
+    curve = learning_curve(episodes)
+    assert curve["step"] == [100 * k for k in range(1, CURVE + 1)]
+    assert curve["return"] == [None if k == 5 else k + 0.75 for k in range(CURVE)]
+    assert curve["crashed"] == [None if k == 5 else 0.5 for k in range(CURVE)]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -80,24 +80,46 @@ def _drop_stale(folder: str) -> None:
                 index.unlink()
 
 
+def _is_kept(function: Any) -> bool:
+    """Whether machine code of a kernel is on the disk."""
+    folder = function.stats.cache_path
+    return folder is not None and any(Path(folder).glob(f"*.{function.__name__}-*.nbi"))
+
+
+@contextmanager
+def _alone(folder: str | None) -> Iterator[None]:
+    """Hold the lock of a directory of machine code, where there are locks: other processes wait."""
+    with ExitStack() as opened:
+        with suppress(ImportError, OSError):
+            import fcntl  # not on Windows
+
+            if folder is not None:
+                file = opened.enter_context(open(Path(folder) / "compiling.lock", "w"))
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 @contextmanager
 def compile_notice(function: Any) -> Iterator[None]:
-    """Say that kernels are compiled, and how long it took, unless the machine code of `function` is on the disk."""
-    if AS_PYTHON:
+    """Say that kernels are compiled, and how long it took, unless the machine code of `function` is on the disk.
+
+    Of several processes one compiles, and the others wait until they can load it.
+    """
+    if AS_PYTHON or _is_kept(function):
         yield
         return
-    folder = function.stats.cache_path
-    if folder is not None and any(Path(folder).glob(f"*.{function.__name__}-*.nbi")):
+    with _alone(function.stats.cache_path):
+        if _is_kept(function):
+            yield
+            return
+        start = time.perf_counter()
+        print(
+            "sumo_env: Numba compiles highway-env's physics, once for this installation ...",
+            file=sys.stderr,
+            flush=True,
+        )
         yield
-        return
-    start = time.perf_counter()
-    print(
-        "sumo_env: Numba compiles highway-env's physics, once for this installation ...",
-        file=sys.stderr,
-        flush=True,
-    )
-    yield
-    print(f"sumo_env: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+        print(f"sumo_env: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
 
 
 _BENEATH = (

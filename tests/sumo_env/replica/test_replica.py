@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from experiments.backends import make_env
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import states
 from sumo_env.env import DrivingEnv
-from sumo_env.replica.compiled import compiled
+from sumo_env.replica.compiled import compile_notice, compiled
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, power, tan, unary
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
@@ -108,6 +109,31 @@ def test_stale_machine_code_that_cannot_be_removed_is_not_used(
     assert square(3.0) == 9.0
     machine_code: Any = square
     assert machine_code.stats.cache_path is None and index.exists()
+
+
+def test_who_begins_while_another_one_compiles_waits_and_loads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("numba.core.caching.FunctionCache.cache_path", str(tmp_path))
+
+    @compiled
+    def square(x: float) -> float:
+        return x * x
+
+    done = []
+
+    def second() -> None:
+        with compile_notice(square):
+            done.append(True)
+
+    with compile_notice(square):
+        thread = threading.Thread(target=second)  # locks are those of open files: as another process
+        thread.start()
+        thread.join(0.2)
+        assert not done
+        (tmp_path / "kernels.square-1.py311.nbi").touch()
+    thread.join(10.0)
+    assert done and capsys.readouterr().err.count("once for this installation") == 1
 
 
 EPISODES = """

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from agents.rules import CAUTIONS, make_policy
+from agents.rules.careful import FUTURE, _drive
 from experiments.backends import make_env
 from experiments.study.compute.evaluate import drives, evaluate
 
@@ -89,6 +90,13 @@ def test_more_caution_slows_down_farther_behind_a_leader() -> None:
 
     distances = [braking_distance(name) for name in CAUTIONS]
     assert distances == sorted(distances) and distances[0] < distances[2] < distances[-1]
+
+
+def test_who_brakes_is_thought_to_brake_for_two_seconds_or_to_a_standstill() -> None:
+    """And no harder than by 6 m/s2."""
+    view: Any = SimpleNamespace(speeds=np.array([10.0, 10.0, 4.0]), acceleration=np.array([1.0, -4.0, -9.0]))
+    ways = _drive(view)[:, np.isin(FUTURE, (1.0, 2.0, 4.0))]
+    assert ways == pytest.approx(np.array([[10, 20, 40], [8, 12, 16], [4 / 3] * 3]), abs=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -26,14 +26,16 @@ IDS = ["highway-fast-v0", "two-way-v0", "roundabout-v1", "intersection-v2", "u-t
 @pytest.mark.parametrize("beams", [LIDAR, FINE, {**LIDAR, "cells": 3, "maximum_range": 30}], ids=str)
 @pytest.mark.parametrize("id", IDS)
 def test_distances_and_velocities_are_highway_env_s(id: str, beams: dict[str, Any]) -> None:
-    """The space, and every sector in every step until a crash or the end; obstacles of the merge included."""
+    """The space, and every sector in every step of an episode in which something is seen; obstacles included."""
     names = gym.spec(id), gym.spec(f"replica/{id}")
     theirs: Any
     ours: Any
     theirs, ours = (gym.make(name, config={"observation": beams}, disable_env_checker=True) for name in names)
     assert theirs.observation_space == ours.observation_space
     filled = np.zeros(theirs.observation_space.shape[0], bool)
-    for seed in range(3):
+    for seed in range(5):
+        if filled.any():
+            break
         rng, over, equal = np.random.default_rng(seed), False, EQUAL
         expected, found = theirs.reset(seed=seed)[0], ours.reset(seed=seed)[0]
         while not over:

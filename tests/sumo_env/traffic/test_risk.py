@@ -73,9 +73,9 @@ def test_there_is_room_where_nobody_is_within_the_gap() -> None:
         assert has_room(there, [(x, 4.0, 20.0, 0.0)]) == room
     assert has_room(there, [(100.0, 8.0, 20.0, 0.0)])  # beside, two metres between the outlines
     assert not has_room(there, [(150.0, 4.0, 20.0, 0.0), (102.0, 4.0, 20.0, 0.0)])
-    lorry = 8.0, 1.25  # half its length and width [m]
-    for x, room in ((89.0, False), (88.0, True), (111.0, False), (112.0, True)):
-        assert has_room(there, [(x, 4.0, 20.0, 0.0)], [(2.5, 0.9), lorry]) == room
+    tram = 20.0, 1.25  # half its length and width [m]
+    for x, room in ((77.0, False), (76.0, True), (123.0, False), (124.0, True)):
+        assert has_room(there, [(x, 4.0, 20.0, 0.0)], [(2.5, 0.9), tram]) == room
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, math.pi, -2.0])

@@ -1,4 +1,4 @@
-"""Configuration: highway-env's keys, checked. Each default is defined once, in `COMMON` or in its task's file."""
+"""Configuration: highway-env's keys, checked. Each default is defined once, in `KEYS` or in its task's file."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import copy
 import difflib
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -17,22 +18,65 @@ from sumo_env.not_here import did_you_mean, page
 
 Config = dict[str, Any]
 
-COMMON: Config = {
-    "simulation_frequency": 10,  # [Hz] SUMO's step is its inverse (highway-env: 15)
-    "policy_frequency": 1,  # [Hz]
-    "risk": 0.0,  # dose of risky traffic, 0 (regular) to 1
-    "drivers": "highway-env",  # whose numbers the other drivers have: highway-env's, or measured ones
-    "screen_width": 600,  # [px]
-    "screen_height": 150,  # [px]
-    "scaling": 5.5,  # [px/m]
-    "centering_position": [0.3, 0.5],
-}
-
 MEASURED = "measured"
 DRIVERS = ("highway-env", MEASURED)
-FREQUENCIES = ("simulation_frequency", "policy_frequency")
 STEP_ERROR = 0.0101  # of SUMO's step: 1 %, and rounding
 STOCK_FREQUENCY = 15  # [Hz] highway-env's ``simulation_frequency``
+MOST_VEHICLES = 10_000  # more would take all memory or all time
+
+
+@dataclass(frozen=True)
+class Key:
+    """What holds for a key of the configuration in every task that has it: a row of `KEYS`."""
+
+    default: Any = (
+        None  # where a task says no other one; None: only tasks whose `defaults` name the key have it
+    )
+    within: str = ""  # limits of a number, such as "(0, 1000]"; "" for none
+    is_whole: bool = False  # whether the number must be whole
+    like: Any = None  # what a value is like where the default is None, which it may be too
+    renamed: str = ""  # by other tasks or earlier versions of highway-env
+
+    def check(self, key: str, default: Any, value: Any) -> None:
+        """Raises ConfigError where a task in which the key has this default cannot have this value."""
+        if value is not None or default is not None:
+            _check_kind(f"config key {key!r}", self.like if default is None else default, value)
+        if not self.within or value is None:
+            return
+        if self.is_whole and value != int(value):
+            raise ConfigError(f"config key {key!r} must be a whole number, not {value!r}")
+        least, most = map(float, self.within[1:-1].split(","))
+        if not least <= value <= most or (value == least and self.within[0] == "("):
+            raise ConfigError(f"config key {key!r} must lie in {self.within}, not {value!r}")
+
+
+# A row a key: those of all tasks, then those of some that have limits. Of others the default says what they may be.
+KEYS = {
+    # [Hz] SUMO's step is its inverse (highway-env: 15)
+    "simulation_frequency": Key(10, "(0, 1000]", is_whole=True),
+    "policy_frequency": Key(1, "(0, 1000]", is_whole=True),  # [Hz]
+    "risk": Key(0.0, "[0, 1]"),  # dose of risky traffic, 0 (regular) to 1
+    "drivers": Key("highway-env"),  # one of `DRIVERS`: whose numbers the other drivers have
+    "screen_width": Key(600, "(0, 10000]"),  # [px]
+    "screen_height": Key(150, "(0, 10000]"),  # [px]
+    "scaling": Key(5.5, "(0, inf]"),  # [px/m]
+    "centering_position": Key([0.3, 0.5]),
+    "vehicles_count": Key(within=f"[0, {MOST_VEHICLES}]", is_whole=True, renamed="initial_vehicle_count"),
+    "initial_vehicle_count": Key(within=f"[0, {MOST_VEHICLES}]", is_whole=True, renamed="vehicles_count"),
+    "oncoming_vehicles_count": Key(within=f"[0, {MOST_VEHICLES}]", is_whole=True),
+    "lanes_count": Key(within="(0, 6]", is_whole=True),  # `networks.plans.LANES_COUNTS`
+    "ego_spacing": Key(renamed="initial_spacing"),
+    "vehicles_density": Key(within="(0, inf]"),
+    "road_length": Key(within="(0, 100000]"),  # [m]
+    "duration": Key(within="(0, 100000]"),  # [s] SUMO's clock counts milliseconds
+    "spawn_probability": Key(within="[0, 1]"),
+    "reward_speed_range": Key(like=[0.0, 1.0]),  # [m/s]
+    "initial_speed": Key(like=0),  # [m/s]
+    "begin": Key(within="[0, inf]", like=0),  # [s]
+    "warm_up": Key(within="[0, 100000]"),  # [s]
+    "wait": Key(within="[0, 100000]"),  # [s]
+}
+COMMON: Config = {key: row.default for key, row in KEYS.items() if row.default is not None}
 
 DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
 CONTINUOUS_ACTION: Config = {
@@ -93,27 +137,6 @@ TYPES: dict[str, tuple[Config, ...]] = {
     "observation": (KINEMATICS, EXIT, TIME_TO_COLLISION, OCCUPANCY_GRID, GRAYSCALE, LIDAR, LEADERS_FOLLOWERS),
     "action": ({**DISCRETE_META_ACTION, "target_speeds": None}, CONTINUOUS_ACTION, DISCRETE_ACTION),
 }
-# Largest values. More vehicles, metres or seconds take all memory or all time, and SUMO's clock counts milliseconds.
-MOST_VEHICLES = 10_000
-LARGEST = {
-    "policy_frequency": 1000,
-    "simulation_frequency": 1000,
-    "lanes_count": 6,  # of highways that are built (`networks.plans.LANES_COUNTS`)
-    "road_length": 100_000.0,
-    "duration": 100_000.0,
-    "vehicles_density": math.inf,
-    "screen_width": 10_000,
-    "screen_height": 10_000,
-    "scaling": math.inf,
-    "risk": 1.0,
-    "spawn_probability": 1.0,
-    "begin": math.inf,
-    "warm_up": 100_000.0,
-    "wait": 100_000.0,
-}
-MAY_BE_ZERO = ("risk", "spawn_probability", "begin", "warm_up", "wait")  # of those
-# What keys are that may also be None.
-OR_NONE: Config = {"begin": 0, "initial_speed": 0, "reward_speed_range": [0.0, 1.0]}
 # Keys of highway-env and rl-agents that the tasks on SUMO do not have. A whole configuration of theirs is accepted if
 # it describes the same task and kept: these keys have no effect, and those of `FIXED` may only have one value.
 # rl-agents hands its whole JSON file to `configure`.
@@ -155,12 +178,6 @@ ARGUMENTS = {
     **dict.fromkeys(("sumo_options", "live", "output_dir"), "single environments on SUMO"),
     **dict.fromkeys(("scenarios", "variant", "risk_law"), "replica/*"),
 }
-# Keys by what other tasks or earlier versions of highway-env call them.
-RENAMED = {
-    "initial_spacing": "ego_spacing",
-    "initial_vehicle_count": "vehicles_count",
-    "vehicles_count": "initial_vehicle_count",
-}
 
 
 class ConfigError(ValueError):
@@ -181,7 +198,7 @@ def _meant(key: str, known: Mapping[str, Any]) -> str:
     """
     for name in known:
         alike = difflib.SequenceMatcher(None, name, key).ratio()
-        if RENAMED.get(key) == name or (alike > 0.6 and (1.0 - alike) * len(name + key) < 4.5):
+        if KEYS.get(name, Key()).renamed == key or (alike > 0.6 and (1.0 - alike) * len(name + key) < 4.5):
             return f"did you mean {name!r}?"
     return f"known: {', '.join(sorted(known))}"
 
@@ -309,26 +326,15 @@ def _plain(value: Any) -> Any:
 
 
 def _check(task: str, config: Config, defaults: Config) -> None:
-    for key in defaults:
-        given, default = config[key], defaults[key]
-        if given is not None or default is not None:
-            _check_kind(f"config key {key!r}", OR_NONE.get(key) if default is None else default, given)
-    for key, value in config.items():
-        most = LARGEST.get(key, MOST_VEHICLES if key.endswith("_count") else None)
-        if most is None or value is None:
-            continue
-        if key.endswith(("_count", "_frequency")) and value != int(value):
-            raise ConfigError(f"config key {key!r} must be a whole number, not {value!r}")
-        positive = key in LARGEST and key not in MAY_BE_ZERO
-        if not 0 <= value <= most or (positive and value == 0):
-            least = "(0" if positive else "[0"
-            raise ConfigError(f"config key {key!r} must lie in {least}, {most:g}], not {value!r}")
+    for key, default in defaults.items():
+        KEYS.get(key, Key()).check(key, default, config[key])
     one_of("value of config['drivers']:", config["drivers"], DRIVERS)
-    speeds = config.get("reward_speed_range")
+    speeds = config["reward_speed_range"] if "reward_speed_range" in defaults else None
     if speeds is not None and speeds[0] == speeds[1]:
         raise ConfigError(f"config key 'reward_speed_range' must be two different speeds, not {speeds!r}")
     if config["simulation_frequency"] < config["policy_frequency"]:
-        both = " must be at least ".join(f"{key!r} ({config[key]})" for key in FREQUENCIES)
+        frequencies = ("simulation_frequency", "policy_frequency")
+        both = " must be at least ".join(f"{key!r} ({config[key]})" for key in frequencies)
         raise ConfigError(f"{both}: otherwise no time passes in a step")
     for group, types in TYPES.items():
         _check_type(task, group, config[group], {known["type"]: known for known in types})

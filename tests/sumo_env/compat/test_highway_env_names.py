@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 import pickle
 import warnings
 from importlib import import_module
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.config import IGNORED, warn_once
+from sumo_env.config import COMMON, IGNORED, resolve, warn_once
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnvFast, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
@@ -43,6 +44,15 @@ def test_highway_env_ignores_what_is_ignored_here(task: str) -> None:
     for action in (1, 0):
         ours, theirs = given.step(action), plain.step(action)
         assert np.array_equal(ours[0], theirs[0]) and ours[1:4] == theirs[1:4]
+
+
+@highway_env_task
+def test_keys_of_other_tasks_are_ignored_whatever_their_values(task: str) -> None:
+    others = IGNORED.union(*(TASKS[other].defaults for other in OF_HIGHWAY_ENV))
+    own = TASKS[task].defaults
+    for value in (None, "x", -1, math.nan, [1]):
+        given = dict.fromkeys(others - own.keys() - COMMON.keys(), value)
+        assert resolve(task, own, given).items() >= given.items()
 
 
 @pytest.mark.parametrize("id", ["sumo/highway-v0", "replica/highway-v0"])

@@ -41,8 +41,11 @@ class Told(gym.Env):
 
 
 class Acts:
-    def act(self, observation: int) -> int:
+    def act(self, observation: Any) -> int:
         return STEPS[observation][-1]
+
+    def reset(self, seed: int | None = None) -> None:
+        """It has no state."""
 
 
 @pytest.mark.parametrize("crashes", [True, False])

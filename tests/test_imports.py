@@ -18,10 +18,8 @@ MAY_IMPORT = {
     "agents": set(),
     "experiments": {"networks", "sumo_env", "agents"},
 }
-STUDY = {
-    "torch", "matplotlib", "pandas", "scipy", "pyarrow", "statsmodels", "stable_baselines3", "highway_env", "rich",
-    "tyro", "jinja2",
-}  # fmt: skip
+STUDY = {"torch", "matplotlib", "pandas", "scipy", "pyarrow", "statsmodels", "rich", "tyro", "jinja2"}
+STUDY |= {"stable_baselines3", "highway_env"}
 COMPILERS = {"numba", "llvmlite", "ctypes", "cffi"}
 
 

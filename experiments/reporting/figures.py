@@ -34,10 +34,8 @@ WIDTH = 7.2  # [inch]
 INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"
 CONTROL, TREATMENT, CAREFUL = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito: told apart by all eyes
 COLOURS = {"control": CONTROL, "mixed": "#cc79a7", "treatment": TREATMENT}  # by arm, in the order of the risk
-VARIABLES = {
-    INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper",
-    CONTROL: "control", TREATMENT: "treatment", CAREFUL: "careful",
-}  # fmt: skip
+VARIABLES = {INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper"}
+VARIABLES |= {CONTROL: "control", TREATMENT: "treatment", CAREFUL: "careful"}
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,
     "axes.titlesize": 9, "axes.titleweight": "bold", "axes.labelsize": 8.5,

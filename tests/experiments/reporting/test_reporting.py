@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
-from experiments.reporting import by_task, figures, tables
+from experiments.reporting import by_task, figures, page, tables
 
 
 def analysis(**frames: Any) -> Any:
@@ -54,6 +54,11 @@ def test_the_table_of_tasks_has_a_line_a_task_and_traffic() -> None:
         ["u-turn", "risky drivers, no events", "1.7 → 0.8\n−0.9 [−1.6, −0.2]"],
         ["u-turn", "risky, replica", "65.0 → 9.0\n−56.0 [−60.0, −52.0]"],
     ]
+
+
+def test_each_table_is_on_a_page() -> None:
+    pages = "".join(path.read_text() for path in page.TEMPLATES.glob("*.j2"))
+    assert {name for name in tables.TABLES if f"table(b.{name})" not in pages} == set()
 
 
 def test_a_mean_over_tasks_has_every_one_left_out_below_it() -> None:

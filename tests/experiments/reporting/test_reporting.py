@@ -142,6 +142,29 @@ def test_a_bound_is_a_line_from_the_agent_to_the_pair_the_mean_first() -> None:
     ]
 
 
+def test_what_is_asked_of_the_learner_stands_beside_what_was_found() -> None:
+    columns = ["check", "task", "arm", "agents", "estimate", "low", "high", "least", "most", "passed"]
+    rows = [
+        ["change", "", "control", 10, 0.0123, -0.02, 0.045, -0.05, 0.05, None],
+        ["diverged", "", "", 20, 1.0, NAN, NAN, 0.0, 0.0, False],
+    ]
+    found = pd.DataFrame(rows, columns=columns).assign(backend="sumo")
+    table = tables.learner(analysis(learner=found), "sumo").drop(columns="check")
+    assert table.to_numpy().tolist() == [
+        ["10 control", "0.012 [−0.020, 0.045]", "−0.050 to 0.050", "open"],
+        ["20", "1", "0", "not as asked"],
+    ]
+
+
+def test_gates_count_who_passes_and_name_what_the_others_fail() -> None:
+    """An agent of which a gate could not be checked has not failed."""
+    rows = [(True, ""), (None, ""), (False, "not_constant beats_constant"), (False, "beats_constant")]
+    gates = pd.DataFrame(rows, columns=["passed", "failed"]).assign(**SETTING, arm="control")
+    [line] = tables.gates(analysis(gates=gates), "sumo").to_dict("records")
+    words = "1 constant policy, 2 not above a constant policy"
+    assert line == {"setting": "u-turn 3", "control": f"2 of 4 ({words})"}
+
+
 def test_the_frontier_table_has_a_row_an_arm_and_says_how_many_agents_are_compared() -> None:
     columns = ["arm", "traffic", "agents", "inside", "estimate", "low", "high"]
     found = pd.DataFrame(

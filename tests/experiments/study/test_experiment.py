@@ -94,12 +94,13 @@ def test_shards_are_a_partition_that_keeps_the_arms_of_a_seed_together(count):
     assert all(home[c.task, c.level, c.seed] == i for i, part in enumerate(parts) for c in part)
 
 
-def test_seeds_of_tests_and_of_trainings_are_apart_from_each_other():
+def test_seeds_of_tests_of_gates_and_of_trainings_are_apart_from_each_other():
     episodes = {episode_seed(seed, episode) for seed in range(5) for episode in range(200)}
     places = [(task, level, number) for task in TASKS for level in (1, 2) for number in range(100)]
     trainings, tests = ({seed(*place) for place in places} for seed in (training_seed, scenario_seed))
-    assert max(episodes | trainings) < TEST <= min(tests)
-    assert len(trainings) == len(tests) == len(places)
+    gates = {scenario_seed(*place, "gate") for place in places}
+    assert max(episodes | trainings) < TEST <= min(tests | gates)
+    assert len(trainings) == len(tests) == len(places) == len(tests | gates) / 2
 
 
 @pytest.mark.parametrize("learner", LEARNERS)

@@ -107,8 +107,8 @@ def test_the_time_of_the_ego_is_the_least_of_all(traffic) -> None:
 def test_headway_is_to_the_nearest_in_the_corridor() -> None:
     x = np.array([0.0, 30.0, 20.0, 25.0, -10.0, 95.0])
     y = np.array([0.0, 0.5, 2.5, -1.9, 0.0, 0.0])
-    speed = np.array([10.0, 20.0, 0.0, 10.0, 10.0, 10.0])
-    # the third is beside the corridor of the first and stands; 95 is more than 60 m ahead of 30
+    speed = np.array([10.0, 20.0, 0.05, 10.0, 10.0, 10.0])
+    # the third is beside the corridor of the first and hardly moves; 95 is more than 60 m ahead of 30
     expected = [2.0, math.inf, math.inf, math.inf, 0.5, math.inf]
     assert headways(x, y, speed, np.zeros(6)) == pytest.approx(expected)
 

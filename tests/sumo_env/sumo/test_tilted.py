@@ -14,7 +14,10 @@ import pytest
 
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.env.cars import make
-from sumo_env.traffic.risk import RiskEvent, draw_events
+from sumo_env.scene import Scene
+from sumo_env.sumo.tilted import Tilted
+from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
+from sumo_env.traffic.tilt import Tilt
 from tests.sumo_env.plans import build, needs_sumo, route_file
 from tests.sumo_env.rollout import assert_same_bits, drive
 from tests.tasks import every_task
@@ -76,6 +79,20 @@ def test_the_weight_is_that_of_the_stored_events(task: str) -> None:
                 late = {event.vehicle for event in further if before.time - last < event.time <= before.time}
                 assert begun <= here | (late & a_step_before)
                 a_step_before = here
+
+
+def test_an_event_between_two_scenes_comes_by_who_was_near_in_the_first_one() -> None:
+    """Also where the simulator begins it after the second one, in which another vehicle is near."""
+    tilted = Tilted(Tilt(2.0, 10.0, RiskRates(brake=0.1), 1.0, 20.0))
+    events = {
+        (name, time): RiskEvent(time, name, "brake", is_further=True) for name in "ab" for time in (0.95, 1.5)
+    }
+    tilted.plan("ab", events.values())
+    for time, places in enumerate(([0.0, 5.0, 50.0], [0.0, 50.0, 5.0])):
+        zeros = np.zeros(3)
+        tilted.count(Scene(("ego", "a", "b"), np.array(places), zeros, zeros, zeros, zeros > 0, float(time)))
+    came = {which for which, event in events.items() if tilted.comes(event)}
+    assert came == {("a", 0.95), ("b", 1.5)}
 
 
 @every_task

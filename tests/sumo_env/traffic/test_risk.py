@@ -19,6 +19,7 @@ from sumo_env.traffic.risk import (
     free_way,
     has_room,
 )
+from tests.sumo_env import scenarios
 
 RATES = RiskRates(cut_in=0.1, brake=0.1, surge=0.1)
 VEHICLES = tuple((f"v{k}", 0.0) for k in range(200))
@@ -64,6 +65,14 @@ def test_events_carry_what_the_rates_say() -> None:
     assert {(e.accel, e.duration, e.way) for e in events if e.kind == "surge"} == {(3.0, 2.5, 20.0)}
     directions = [e.direction for e in events if e.kind == "cut-in"]
     assert set(directions) == {-1, 1} and abs(sum(directions)) < 5 * math.sqrt(len(directions))
+
+
+def test_who_comes_later_may_have_events_from_then_on() -> None:
+    scenario = scenarios.draw("intersection", policy_frequency=5)
+    comes = dict(scenario.lifetimes)
+    assert len(comes) == len(scenario.vehicles) + len(scenario.spawns) > len(scenario.vehicles)
+    assert {spawn.vehicle.id: spawn.step / 5 for spawn in scenario.spawns}.items() <= comes.items()
+    assert all(comes[spec.id] == 0.0 for spec in scenario.vehicles)
 
 
 def test_there_is_room_where_nobody_is_within_the_gap() -> None:

@@ -94,6 +94,8 @@ def reward_weights(task: Task, config: Config) -> RewardWeights:
     if task.name not in PAID:
         raise ConfigError(f"batches have no reward of the task {task.name!r}, only of {', '.join(PAID)}")
 
+    config = {key: value for key, value in config.items() if key in task.defaults}  # others have no effect
+
     def weight(key: str) -> float:
         return float(config.get(key, 0.0))
 

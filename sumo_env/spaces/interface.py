@@ -51,7 +51,8 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
             f"1/3); in highway-env and on replica/* it steers ({page('control')})"
         )
     limits = task.reward_limits(config)
-    if limits and config.get("normalize_reward", True) and limits[0] == limits[1]:
+    is_asked = "normalize_reward" not in task.defaults or config["normalize_reward"]
+    if limits and is_asked and limits[0] == limits[1]:
         raise ConfigError(
             f"the reward cannot be normalised: by its weights it is always {limits[0]:g}; change 'collision_reward', "
             "say, or set 'normalize_reward' to False"

@@ -171,7 +171,8 @@ class Task:
     def normalized(self, reward: float, config: Config) -> float:
         """A reward mapped from `reward_limits` to [0, 1] where ``normalize_reward`` asks for it."""
         limits = self.reward_limits(config)
-        return lmap(reward, limits, (0.0, 1.0)) if limits and config.get("normalize_reward", True) else reward
+        is_asked = "normalize_reward" not in self.defaults or config["normalize_reward"]
+        return lmap(reward, limits, (0.0, 1.0)) if limits and is_asked else reward
 
     def arrived(self, ego: EgoState) -> bool:
         """Whether the ego has reached a goal, which ends the episode unless `terminated` says else; most have none."""
@@ -179,7 +180,9 @@ class Task:
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
         """Whether the episode is over, apart from its time."""
-        off_road = bool(config.get("offroad_terminal", False)) and not ego.on_road
+        off_road = (
+            "offroad_terminal" in self.defaults and bool(config["offroad_terminal"]) and not ego.on_road
+        )
         return ego.crashed or off_road or self.arrived(ego)
 
     def events(

@@ -7,6 +7,7 @@ import json
 import math
 import pickle
 import warnings
+from contextlib import closing
 from importlib import import_module
 from typing import Any
 
@@ -19,6 +20,8 @@ from sumo_env.config import COMMON, IGNORED, resolve, warn_once
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnvFast, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
+from sumo_env.replica.batch import reward_weights
+from sumo_env.spaces.interface import interface
 from sumo_env.tasks import TASKS
 from tests.sumo_env.parity import stock
 from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
@@ -48,11 +51,19 @@ def test_highway_env_ignores_what_is_ignored_here(task: str) -> None:
 
 @highway_env_task
 def test_keys_of_other_tasks_are_ignored_whatever_their_values(task: str) -> None:
+    """Also by rewards and ends, here of a car that has left the road."""
     others = IGNORED.union(*(TASKS[other].defaults for other in OF_HIGHWAY_ENV))
-    own = TASKS[task].defaults
-    for value in (None, "x", -1, math.nan, [1]):
-        given = dict.fromkeys(others - own.keys() - COMMON.keys(), value)
-        assert resolve(task, own, given).items() >= given.items()
+    with closing(DrivingEnv(task)) as env:
+        env.reset(seed=0)
+        own, plain, car = env.task, env.config, env.ego_state._replace(on_road=False)
+    terms = own.rewards(car, plain)
+    for value in (None, "x", -1, math.nan, [1], False, True):
+        given = dict.fromkeys(others - own.defaults.keys() - COMMON.keys(), value)
+        config = resolve(task, own.defaults, given)
+        assert config.items() >= given.items()
+        assert (own.rewards(car, config), own.reward(terms, config)) == (terms, own.reward(terms, plain))
+        assert own.terminated(car, config) == own.terminated(car, plain)
+        assert interface(own, config) and reward_weights(own, config) == reward_weights(own, plain)
 
 
 @pytest.mark.parametrize("id", ["sumo/highway-v0", "replica/highway-v0"])

@@ -180,6 +180,26 @@ def test_values_and_policy_of_a_known_decision_process() -> None:
     assert worth(learnt.argmax(1)) > best - 0.25 * (best - trivial)
 
 
+class Normed(Small):
+    """With statistics of its inputs that no gradient moves."""
+
+    def __init__(self, space: gym.spaces.Box, actions: int) -> None:
+        super().__init__(space, actions)
+        self.norm = nn.BatchNorm1d(INPUTS)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return super().forward(self.norm(x))
+
+
+def test_the_target_network_takes_over_what_is_no_weight() -> None:
+    agent = make(dataclasses.replace(SMALL, target_interval=1), network=Normed)
+    fill(agent, 50)
+    agent.update()
+    online, target = (dict(network.named_buffers()) for network in (agent.online, agent.target))
+    assert online["network.norm.running_mean"].abs().max() > 0.0
+    assert all(torch.equal(value, target[name]) for name, value in online.items())
+
+
 def test_a_policy_is_a_copy() -> None:
     agent = make()
     fill(agent, 50)

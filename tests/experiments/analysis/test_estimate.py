@@ -75,9 +75,9 @@ class TestInterval:
 
 
 class TestFewCrashes:
-    def test_no_crash_at_all_has_an_interval(self) -> None:
-        never = np.zeros((5, 100))
-        result = interval(difference(never, never, estimate.binomial_floor([never, never])))
+    @pytest.mark.parametrize("same", [np.zeros((5, 100)), np.ones((5, 100))])
+    def test_no_crash_at_all_has_an_interval_and_so_has_a_crash_always(self, same: np.ndarray) -> None:
+        result = interval(difference(same, same, estimate.binomial_floor([same, same])))
         assert result.estimate == 0
         assert 0.002 < result.high < 0.02
 

@@ -25,7 +25,7 @@ ROWS = Path(__file__).with_suffix(".json")
 # Policy steps of an episode; each pays at most 1.
 TASKS = {"highway-fast": 30, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 RISKS, SEEDS = (0, 1), ("0", "1", "2")
-README, MORE_SEEDS = ("u-turn", 1), ("3", "4", "5", "6", "7")  # README's script has ten trainings
+README, MORE_SEEDS = ("u-turn", 1), ("3", "4", "5", "6", "7", "8", "9")  # README's script has ten trainings
 SCENARIOS, STEPS = range(5000, 5100), 15_000  # README's; 100 scenarios, so that crashes are in %
 ARMS = ("control", "treatment")  # by risk
 DIGITS = {"return": 1, "crashes": 0, "speed": 1}

@@ -150,6 +150,21 @@ def test_crashed_vehicles_coast_and_stay(start: Start) -> None:
     assert env.scene.x == pytest.approx(place, abs=0.1)
 
 
+def test_a_crashed_vehicle_coasts_as_far_in_a_bend(simulator: SumoSimulator) -> None:
+    """SUMO's metres there are others than those of the road."""
+    scenario = draw("u-turn")
+    index = ("b", "c", 0)
+    bend, spec = scenario.road.lane(index), scenario.vehicles[0]
+    x, y = bend.position(2.0, 0.0)
+    pose = {"lane": index, "s": 2.0, "x": x, "y": y, "heading": bend.heading_at(2.0)}
+    spec = spec._replace(**pose, speed=8.0, target_speed=8.0)
+    scenes = [simulator.reset(replace(scenario, vehicles=(spec,)))]
+    simulator._crash(spec.id)
+    scenes.append(simulator.step({"ego": EgoCommand(9.0, scenario.ego.lane)}).scene)
+    before, after = (bend.local_coordinates(scene.x.item(1), scene.y.item(1))[0] for scene in scenes)
+    assert after - before == pytest.approx(8.0 * (1.0 - (14 / 15) ** 15), abs=0.1)
+
+
 # -- vehicles that come, go or do not matter ---------------------------------------------------------------
 
 

@@ -15,7 +15,15 @@ from highway_env.vehicle.controller import MDPVehicle
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.config import resolve
 from sumo_env.networks.roads import highway
-from sumo_env.spaces.actions import NAMES, DiscreteMetaAction, Situation, target_lane, target_speed_index
+from sumo_env.scene import Place
+from sumo_env.spaces.actions import (
+    NAMES,
+    DiscreteMetaAction,
+    Situation,
+    lane_beside,
+    target_lane,
+    target_speed_index,
+)
 from sumo_env.spaces.interface import interface
 from sumo_env.tasks import TASKS
 from tests.tasks import highway_env_task
@@ -146,6 +154,17 @@ def test_target_speeds_and_lanes_equal_highway_env_s() -> None:
         changed += lane != before
         assert (index, lane) == (theirs.speed_index, theirs.target_lane_index), name
     assert changed > 50
+
+
+def test_where_sumo_says_what_may_be_done_a_target_lane_of_another_road_is_the_present_one() -> None:
+    place = Place(("b", "c", 1), True, False, (), 0.0)
+    for name, before, after in (
+        ("IDLE", ("a", "b", 0), ("b", "c", 1)),
+        ("IDLE", ("b", "c", 0), ("b", "c", 0)),  # a lane change that has begun
+        ("LANE_LEFT", ("a", "b", 0), ("b", "c", 0)),
+        ("LANE_RIGHT", ("a", "b", 0), ("b", "c", 1)),  # which is not allowed
+    ):
+        assert lane_beside(name, place, before) == after
 
 
 @pytest.mark.parametrize("names", NAMES.values())

@@ -207,6 +207,25 @@ def test_a_vehicle_is_let_in_unless_another_is_within_15_metres(simulator: SumoS
     assert seen == [(), (), ("first",), ("first",), ("first", "later"), ("first", "later")]
 
 
+def test_vehicles_leave_the_intersection_20_m_before_the_end_of_an_exit(simulator: SumoSimulator) -> None:
+    """Before the next policy step, and nobody else does."""
+    scenario = draw("intersection", 1, spawn_probability=1.0)
+    road, left = scenario.road, 0
+    simulator.reset(scenario)
+    before = simulator.step({"ego": EgoCommand(0.0, scenario.ego.lane)}).scene
+    for _ in range(40):
+        scene = simulator.step({"ego": EgoCommand(0.0, scenario.ego.lane)}).scene
+        for row, name in enumerate(before.ids[1:], 1):
+            place = before.x.item(row), before.y.item(row)
+            index = road.closest_lane(*place, before.heading.item(row))
+            s, _ = road.lane(index).local_coordinates(*place)
+            leaves = index[1] in road.ends and s >= road.lane(index).length - 20.0
+            assert leaves == (name not in scene.ids), (name, index, s)
+            left += leaves
+        before = scene
+    assert left > 3
+
+
 @pytest.mark.parametrize("task", ["two-way", "roundabout"])
 def test_vehicles_that_reach_the_end_of_the_road_are_gone(start: Start, task: str) -> None:
     """Also in the middle of a policy step."""

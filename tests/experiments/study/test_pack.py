@@ -77,6 +77,16 @@ def test_a_sweep_goes_on_from_parts_which_are_never_written_again(
     assert {path: (path.stat().st_ino, path.read_bytes()) for path in parts} == parts
 
 
+def test_a_part_that_cannot_be_read_back_takes_no_cells_away(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual, cells = store.write_file, sorted((results / "cells").iterdir())
+    monkeypatch.setattr(store, "write_file", lambda path, data: usual(path, data[: len(data) // 2]))
+    with pytest.raises(UserError, match="damaged"):
+        Store(results).pack()
+    assert sorted((results / "cells").iterdir()) == cells
+
+
 def test_a_damaged_part_is_named(results: Path) -> None:
     Store(results).pack()
     part = min((results / "parts").iterdir())

@@ -47,6 +47,7 @@ class Session:
         self.sumo = engine.module
         self.vehicle, self.simulation = self.sumo.vehicle, self.sumo.simulation
         self.step_length = 0.0  # [s] as SUMO counts time, in whole milliseconds: 0.067 at 15 Hz
+        self.lane_change_duration = 0.0  # [s]; 0: at once
         # length and width [m] of the vehicles on the road that do not have highway-env's size
         self.sizes: dict[str, tuple[float, float]] = {}
         self.arrived: tuple[str, ...] = ()  # who has left the road in the last step, at the end of the route
@@ -83,6 +84,7 @@ class Session:
         self._limits.clear()
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
+        self.lane_change_duration = float(self.simulation.getOption("lanechange.duration"))
         has_sublanes = float(self.simulation.getOption("lateral-resolution")) > 0.0
         self._angle = self._lane_angle if has_sublanes else self.vehicle.getAngle
 

@@ -176,13 +176,10 @@ def test_copies_keep_no_further_commands_however_long_an_episode_is() -> None:
     for _ in range(2):
         twin.step(1)
     assert (len(env._commands), len(twin._commands)) == (151, 152)
+    simulators: list[Any] = [env._simulator, twin._simulator]
+    calls = [call for simulator in simulators for call in simulator._calls]
     kept = {id(one) for each in (env, twin) for one in each._commands}
-    kept |= {
-        id(arguments[0])
-        for each in (env, twin)
-        for name, arguments in each._simulator._calls
-        if name == "step"
-    }
+    kept |= {id(arguments[0]) for name, arguments in calls if name == "step"}
     assert len(kept) == 153
 
 

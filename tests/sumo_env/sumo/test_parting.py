@@ -9,19 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.networks.lanes import StraightLane
 from sumo_env.networks.mapping import read_net, sumo_lanes_of
 from sumo_env.networks.roads import Road
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.u_turn import UTurn
-from tests.sumo_env.plans import build, needs_sumo
+from tests.sumo_env.plans import build, needs_sumo, route_file
+from tests.sumo_env.rollout import drive
 
 LEFT, IDLE, RIGHT = range(3)
 FAR = 200.0  # [m] from where the lanes part to the ends of the roads
 NEAR = 40.0  # [m] from where the ego begins at most to there
 WIDE = 4.0  # [m] lanes
+LASTING = ["--lanechange.duration", "0.8"]  # [s]
 
 
 def plan(rng: np.random.Generator, length: float) -> tuple[str, ...]:
@@ -114,3 +116,27 @@ def test_no_change_of_lanes_breaks_sumo_down_where_lanes_part(tmp_path: Path, se
                 ends.add(env.ego_state.lane[1])
                 assert env.ego_state.target_lane == env.ego_state.lane
     assert ends == {"c", "k"}
+
+
+@needs_sumo
+@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.filterwarnings("ignore:this process has several")
+def test_nor_does_one_in_a_scenario_whose_lane_changes_take_their_time(tmp_path: Path, seed: int) -> None:
+    rng, endings = np.random.default_rng(seed), set()
+    net = build(tmp_path, plan(rng, float(rng.uniform(45.0, 80.0))), "--default.lanewidth=4")
+    start = 'departLane="best" departPos="random" departSpeed="random"'
+    routes = route_file(tmp_path, f'<vehicle id="ego" depart="0" {start}><route edges="a-b b-c"/></vehicle>')
+    action = {"type": "DiscreteMetaAction", "target_speeds": [5, 10, 15, 20, 30]}
+    config = {"policy_frequency": 5, "simulation_frequency": 5, "action": action}
+    # the first one has this process, the second one a worker, whose end is an error here
+    first, env = (
+        SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, sumo_options=LASTING) for _ in range(2)
+    )
+    with closing(first), closing(env):
+        first.reset(seed=0)
+        for episode in range(45):
+            env.reset(seed=episode)
+            begins = int(rng.integers(5))
+            for result in drive(env, [IDLE] * begins + rng.choice([LEFT, RIGHT], 15 - begins).tolist()):
+                endings.add(result[4]["ending"])
+    assert endings == {"", "missed turn"}

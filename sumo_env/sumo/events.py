@@ -232,11 +232,16 @@ class Events:
         return self._session.may_change(lane, there, self._session.vehicle.getVehicleClass(name))
 
     def _leads_off(self, name: str, beside: LaneIndex) -> bool:
-        """Whether the lane beside leads along another route than the scenario's."""
-        way = self._session.vehicle.getRouteID(name)
-        return way in self._network.routes and way != self._network.leading_on(
-            way, self._network.lanes[beside].id
-        )
+        """Whether the lane beside leads along another route than the vehicle's.
+
+        With SUMO's own files that counts where lane changes take their time, which SUMO breaks down over.
+        """
+        session, there = self._session, self._network.lanes[beside].id
+        if self._asks_for_markings:
+            ways = session.lanes_ahead(name) if session.lane_change_duration > 0.0 else []
+            return any(lane == there and not leads for lane, _, leads in ways)
+        way = session.vehicle.getRouteID(name)
+        return way in self._network.routes and way != self._network.leading_on(way, there)
 
     def _has_room(self, name: str, lane: LaneIndex) -> bool:
         x, y, speed, _ = self._look()[name]

@@ -140,3 +140,26 @@ def test_nor_does_one_in_a_scenario_whose_lane_changes_take_their_time(tmp_path:
             for result in drive(env, [IDLE] * begins + rng.choice([LEFT, RIGHT], 15 - begins).tolist()):
                 endings.add(result[4]["ending"])
     assert endings == {"", "missed turn"}
+
+
+@needs_sumo
+@pytest.mark.filterwarnings("ignore:.*")
+def test_nor_does_a_cut_in(tmp_path: Path) -> None:
+    net = build(tmp_path, plan(np.random.default_rng(2), 80.0), "--default.lanewidth=4")
+    stop = '<stop lane="b-c_0" endPos="190" duration="900"/>'
+    cars = f'<vehicle id="ego" depart="0"><route edges="a-b b-c"/>{stop}</vehicle>'
+    for way in ("b-c", "b-k"):
+        start = 'begin="0" end="900" probability="0.5" departLane="best" departSpeed="10"'
+        cars += f'<flow id="{way}" {start}><route edges="a-b {way}"/></flow>'
+    routes = route_file(tmp_path, cars)
+    action = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
+    config = {"risk": 1.0, "duration": 90, "simulation_frequency": 5, "action": action}
+    first, env = (
+        SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, sumo_options=LASTING) for _ in range(2)
+    )
+    with closing(first), closing(env):
+        first.reset(seed=0)
+        for seed in range(8):
+            env.reset(seed=seed, options={"risk_rates": {"cut_in": 1.0}})
+            for _ in drive(env, 0):
+                pass

@@ -17,7 +17,7 @@ from sumo_env.replica.risk import push, return_from_swerve, start_events
 from sumo_env.traffic.scenario import SPAWN_DISTANCE
 
 # Of this type and no literal, for which Numba would compile all that reads it once more.
-NOBODY = np.int64(0)
+NOBODY: Any = np.int64(0)
 EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 # Rows of a frame of a trace, shape (frames, 6, cars):
 X, Y, SPEED, HEADING, CRASHED, IN_EVENT = range(6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import libsumo
 import numpy as np
@@ -156,7 +157,7 @@ def test_a_crashed_vehicle_coasts_as_far_in_a_bend(simulator: SumoSimulator) -> 
     index = ("b", "c", 0)
     bend, spec = scenario.road.lane(index), scenario.vehicles[0]
     x, y = bend.position(2.0, 0.0)
-    pose = {"lane": index, "s": 2.0, "x": x, "y": y, "heading": bend.heading_at(2.0)}
+    pose: dict[str, Any] = {"lane": index, "s": 2.0, "x": x, "y": y, "heading": bend.heading_at(2.0)}
     spec = spec._replace(**pose, speed=8.0, target_speed=8.0)
     scenes = [simulator.reset(replace(scenario, vehicles=(spec,)))]
     simulator._crash(spec.id)

@@ -56,11 +56,12 @@ def test_leaders_and_followers_are_highway_env_s_neighbours() -> None:
     rng, ours = np.random.default_rng(0), highway(4)
     theirs = Road(RoadNetwork.straight_road_network(4))
     found = 0
+    sizes = {"7": (5.25, 2.0)}
     for _ in range(30):
         x, y = rng.uniform(100.0, 300.0, 12), rng.choice([0.0, 4.0, 8.0, 12.0], 12) + rng.uniform(-1, 1, 12)
         theirs.vehicles = [Vehicle(theirs, [a, b], 0.0, 20.0) for a, b in zip(x, y, strict=True)]
         still = np.zeros(12)
-        scene = Scene(tuple(map(str, range(12))), x, y, still + 20.0, still, still > 0, 0.0)
+        scene = Scene(tuple(map(str, range(12))), x, y, still + 20.0, still, still > 0, 0.0, sizes=sizes)
         ego: Any = theirs.vehicles[0]
         start, end, own = ego.lane_index
         seen = neighbours_on(scene, ours, ego.lane_index)
@@ -70,7 +71,8 @@ def test_leaders_and_followers_are_highway_env_s_neighbours() -> None:
                 for place, other in enumerate(theirs.neighbour_vehicles(ego, (start, end, lane))):
                     if other is not None:
                         row = theirs.vehicles.index(other)
-                        expected[place] = Neighbour(str(row), abs(x[row] - x[0]) - 5.0, 20.0)
+                        gap = abs(x[row] - x[0]) - 2.5 - scene.size(str(row))[0] / 2.0
+                        expected[place] = Neighbour(str(row), gap, 20.0)
                         found += 1
             assert list(seen[2 * side : 2 * side + 2]) == expected
     assert found > 60

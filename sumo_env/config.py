@@ -29,9 +29,8 @@ MOST_VEHICLES = 10_000  # more would take all memory or all time
 class Key:
     """What holds for a key of the configuration in every task that has it: a row of `KEYS`."""
 
-    default: Any = (
-        None  # where a task says no other one; None: only tasks whose `defaults` name the key have it
-    )
+    # where a task says no other one; None: only tasks whose `defaults` name the key have it
+    default: Any = None
     within: str = ""  # limits of a number, such as "(0, 1000]"; "" for none
     is_whole: bool = False  # whether the number must be whole
     like: Any = None  # what a value is like where the default is None, which it may be too

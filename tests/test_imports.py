@@ -72,7 +72,7 @@ FLOORS = {
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation
-        < report < sweep
+        < report rare < sweep
     """,
     "experiments.study": "design < results < compute < replaying",
 }

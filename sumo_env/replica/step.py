@@ -62,7 +62,7 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
 
 
 @inlined
-def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int, before_ego: int) -> None:
+def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int, before_ego: Any) -> None:
     """``Road.step``.
 
     count: number of this sub-step since the first vehicles were placed, from 1; before_ego: cars that highway-env has

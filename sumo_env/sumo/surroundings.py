@@ -57,9 +57,7 @@ class Surroundings:
         """
         if self._session.changed:
             self._list_others()
-            for (
-                name
-            ) in self._session.simulation.getDepartedIDList():  # perhaps by the name of one that has left
+            for name in self._session.simulation.getDepartedIDList():  # perhaps a name of one that has left
                 self._due.pop(name, None)
         others, due = self._others, self._due
         if due:

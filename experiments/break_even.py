@@ -35,7 +35,7 @@ from experiments.reporting.rare import BREAK_EVEN, break_even_figure, break_even
 from experiments.study.design.options import TASK, Names
 from experiments.study.design.sheet import GRID
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, in_words, unknown, writing
+from experiments.support.errors import UserError, check_known, in_words, writing
 from experiments.support.files import read_json, write_file, write_json
 from experiments.support.provenance import provenance
 from sumo_env.tasks import TASKS
@@ -65,11 +65,10 @@ class Options:
 def published(tasks: Sequence[str]) -> dict[str, dict[str, list[str]]]:
     """The published agents of the lightest setting, by task and arm. Raises UserError for fewer than two of an arm."""
     found: dict[str, dict[str, list[str]]] = {}
+    check_known("task", tasks, TASKS)
     with in_words((FileNotFoundError, DamagedFile)):
         names = list(pretrained.cards())
     for task in tasks:
-        if task not in TASKS:
-            raise unknown("task", task, TASKS)
         setting = f"{task}-{next(iter(TASKS[task].levels))}"
         arms = {
             arm: [name for name in names if name.startswith(f"{setting}/{arm}")]

@@ -18,8 +18,10 @@ from agents.rules import MAKERS, POLICIES, make_policy
 from experiments.study.compute.evaluate import COLUMNS, play_from
 from experiments.study.compute.executors import cores
 from experiments.study.compute.executors.local import LocalExecutor
-from experiments.study.compute.policies import driver
-from experiments.study.design.arms import stream_seed
+from experiments.study.compute.policies import driver, together
+from experiments.study.compute.wrappers import TimeObserved
+from experiments.study.design.arms import ARMS, PAIRS, stream_seed
+from experiments.study.design.estimators import digest as digest_of_estimator
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError, in_words, unknown
 from sumo_env.benchmark import SETTINGS, BenchmarkScenario, digest
@@ -49,7 +51,8 @@ def entrants(policy: str, part: str = "") -> dict[Place, Entrant]:
 
     Args:
         policy: a driver of `agents.rules`; a zip file of Stable-Baselines3 or FILE:MAKE, with {task} and {level} in its
-            name; a directory of results; or an arm of `agents.cards()`, with or without its setting.
+            name; a directory of results; or an arm of `agents.cards()` or a pair of `arms.PAIRS`, with or without its
+            setting.
         part: of the agent's name in the directory.
 
     Raises:
@@ -72,9 +75,17 @@ def _plain(make: Callable[[str, Env], Policy], name: str, env: Env) -> tuple[Env
     return env, make(name, env)
 
 
-def _loaded(name: str, env: Env) -> Policy:
+def _loaded(name: str, env: Env) -> tuple[Env, Policy]:
     setting, _, arm = name.partition("/")
-    return pretrained.load(setting, arm)
+    if arm not in PAIRS:
+        return env, pretrained.load(setting, arm)
+    from agents.greedy import Greedy, Timed  # here: not every command needs torch
+
+    control, treated = (pretrained.load(setting, of_pair) for of_pair in ARMS)
+    if isinstance(control, Timed):
+        env = TimeObserved(env, control.steps)
+    agents = Greedy(control.network), Greedy(treated.network)
+    return together(env, PAIRS[arm].entries(digest_of_estimator(setting)), *agents)
 
 
 def _stored(directory: Path, part: str) -> list[Entrant]:
@@ -101,11 +112,13 @@ def _published(policy: str) -> list[Entrant]:
     for name, about in cards.items():
         setting, _, arm = name.partition("/")
         arms[arm] = None
-        if policy in (name, arm):
-            place = about["task"], setting.removeprefix(f"{about['task']}-")
-            found.append(Entrant(name, place, partial(_plain, _loaded, name)))
+        both = [*PAIRS] if arm == "control" and f"{setting}/treatment" in cards else []
+        for driver_of in (arm, *both):
+            if policy in (own := f"{setting}/{driver_of}", driver_of):
+                place = about["task"], setting.removeprefix(f"{about['task']}-")
+                found.append(Entrant(own, place, partial(_loaded, own)))
     if not found:
-        raise unknown("policy", policy, [*RULES, *arms, "FILE:MAKE", "a zip file", "a directory"])
+        raise unknown("policy", policy, [*RULES, *arms, *PAIRS, "FILE:MAKE", "a zip file", "a directory"])
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
@@ -17,6 +17,9 @@ from experiments.study.design.cell import learner_of
 from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
 from sumo_env.spaces.actions import DiscreteMetaAction
+
+if TYPE_CHECKING:
+    from agents.greedy import Greedy
 
 
 def check(source: str, profile: Mapping[str, Any]) -> None:
@@ -54,12 +57,23 @@ def driver(
     agent = as_policy(learner.load(weights, settings, env), f"load of the learner {key['policy']}")
     if second is None:
         return env, agent
-    from agents.belief import Rule, Together  # here: not every command needs torch
-    from agents.greedy import Greedy
+    from agents.greedy import Greedy  # here: not every command needs torch
 
     other = learner.load(second, settings, env)
     if not (isinstance(agent, Greedy) and isinstance(other, Greedy)):
         raise UserError(f"agents of the learner {key['policy']} have no Q-values, which a pair needs")
+    return together(env, key["pair"], agent, other)
+
+
+def together(
+    env: gym.Env[Any, Any], pair: Mapping[str, Any], control: Greedy, treated: Greedy
+) -> tuple[gym.Env[Any, Any], Policy]:
+    """Two agents who drive as one, and the environment as they observe it.
+
+    pair: as in `cell.Cell`.
+    """
+    from agents.belief import Rule, Together
+
     inner: Any = env.unwrapped
     by_caution = DiscreteMetaAction(inner.actions, ()).by_caution
-    return believing(env, key["pair"]), Together(agent, other, by_caution, Rule(**key["pair"]["rule"]))
+    return believing(env, pair), Together(control, treated, by_caution, Rule(**pair["rule"]))

@@ -59,10 +59,10 @@ class Pair(NamedTuple):
     rule: Mapping[str, Any]
     belief: str = "own"
 
-    @property
-    def is_estimated(self) -> bool:
-        """Whether an estimator is asked."""
-        return self.belief != "none"
+    def entries(self, estimator: str) -> dict[str, Any]:
+        """Of a pair in a `cell.Cell`, with the SHA-256 of the estimator that it asks, if it asks one."""
+        asked = {} if self.belief == "none" else {"estimator_sha256": estimator}
+        return {"belief": self.belief, "rule": dict(self.rule), **asked}
 
 
 UNSURE = {"unsure": [0.2, 0.8]}

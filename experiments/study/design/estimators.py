@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).resolve().parents[3] / "results" / "estimators"
 
 
-def digest(cell: Cell) -> str:
-    """SHA-256 of the estimator of a cell's task and level; empty where there is none yet."""
-    file = FOLDER / f"{cell.task}-{cell.level_name}.npz"
+def digest(setting: str) -> str:
+    """SHA-256 of the estimator of a setting, such as "u-turn-3"; empty where there is none yet."""
+    file = FOLDER / f"{setting}.npz"
     return sha256(file) if file.exists() else ""
 
 

@@ -184,10 +184,10 @@ class Experiment:
             if arm != "control" or treated is None:
                 continue
             for name, pair in PAIRS.items():
-                made: dict[str, Any] = {"agents": [control.name, treated.name], "belief": pair.belief}
-                made["rule"] = dict(pair.rule)
-                if pair.is_estimated:
-                    made["estimator_sha256"] = digest(control)
+                made = {
+                    "agents": [control.name, treated.name],
+                    **pair.entries(digest(f"{control.task}-{control.level_name}")),
+                }
                 yield _tested(replace(control, arm=name, pair=made), TRAFFICS)
 
     def profile(self, task: str) -> dict[str, Any]:

@@ -21,7 +21,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import pandas as pd
@@ -36,30 +36,20 @@ from experiments.study.design.options import TASK, Names
 from experiments.study.design.sheet import GRID
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, check_known, in_words, writing
-from experiments.support.files import read_json, write_file, write_json
+from experiments.support.files import plain_json, read_json, write_file, write_json
 from experiments.support.provenance import provenance
 from sumo_env.tasks import TASKS
 
 
-@dataclass(frozen=True)
-class Options:
+@dataclass(frozen=True, kw_only=True)
+class Options(rare.Driving):
     """Say from which rate of risk events on treated agents crash less than control agents."""
 
     tasks: Annotated[Names, TASK] = None
-    rates: str = "1e-4:1"
-    """Rates of events, 1 for those at dose 1: LOW:HIGH (two in each decade), or some with commas between."""
-    dose: float = 0.001
-    """Dose of risk that the other drivers' parameters have, above 0 (0.001: regular drivers)."""
-    reach: float = 40.0
-    """Events of vehicles within so many metres of the ego come more often."""
     episodes: int = 2000
     """Episodes for the curve of an agent, about."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/study") / BREAK_EVEN
     """Directory for the results."""
-    executor: str = "local"
-    """Where episodes are driven: local (processes of this machine), ray or slurm (docs/clusters.md)."""
-    workers: int | None = None
-    """Batches at a time; by default one for each core."""
 
 
 def published(tasks: Sequence[str]) -> dict[str, dict[str, list[str]]]:
@@ -86,8 +76,9 @@ def published(tasks: Sequence[str]) -> dict[str, dict[str, list[str]]]:
 def curve(options: Options, task: str, agent: str, number: int) -> pd.DataFrame:
     """The curve of one agent, in scenarios of this number; it is driven unless it is there."""
     out = options.out / agent.replace("/", "-")
-    own = options.rates, options.dose, options.reach, options.episodes, False, number, out
-    rare.rare(rare.Options(agent, task, "", *own, options.executor, options.workers), ["(by break_even.py)"])
+    same = {field.name: getattr(options, field.name) for field in fields(rare.Driving)}
+    asked = rare.Options(agent, task, episodes=options.episodes, seed=number, out=out, **same)
+    rare.rare(asked, ["(by break_even.py)"])
     return pd.DataFrame(read_json(out / "curve.json")["curve"])
 
 
@@ -132,10 +123,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
                 "agents": asked,
                 "events_per_hour_at_rate_1": hours,
                 "break_even": {
-                    task: {
-                        name: None if value != value else value
-                        for name, value in zip(("rate", "low", "high"), answer[:3], strict=True)
-                    }
+                    task: plain_json({"rate": answer.rate, "low": answer.low, "high": answer.high})
                     for task, answer in answers.items()
                 },
                 "words": words,

@@ -61,8 +61,24 @@ SHOWN = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
+class Driving:
+    """At which rates is driven, among whom, and where that is computed."""
+
+    rates: str = "1e-4:1"
+    """Rates of events, 1 for those at dose 1: LOW:HIGH (two in each decade), or some with commas between."""
+    dose: float = 0.001
+    """Dose of risk that the other drivers' parameters have, above 0 (0.001: regular drivers)."""
+    reach: float = 40.0
+    """Events of vehicles within so many metres of the ego come more often."""
+    executor: str = "local"
+    """Where episodes are driven: local (processes of this machine), ray or slurm (docs/clusters.md)."""
+    workers: int | None = None
+    """Batches at a time; by default one for each core."""
+
+
 @dataclass(frozen=True)
-class Options:
+class Options(Driving):
     """Say how often a policy crashes where risk events are as rare as on a road."""
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
@@ -72,12 +88,6 @@ class Options:
     """Task that is driven."""
     level: str = ""
     """Its traffic level by name; by default the lightest."""
-    rates: str = "1e-4:1"
-    """Rates of events, 1 for those at dose 1: LOW:HIGH (two in each decade), or some with commas between."""
-    dose: float = 0.001
-    """Dose of risk that the other drivers' parameters have, above 0 (0.001: regular drivers)."""
-    reach: float = 40.0
-    """Events of vehicles within so many metres of the ego come more often."""
     episodes: int = 5000
     """Episodes for the curve, about."""
     plain: bool = False
@@ -86,10 +96,6 @@ class Options:
     """Of all scenarios."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/rare")
     """Directory for the results."""
-    executor: str = "local"
-    """Where episodes are driven: local (processes of this machine), ray or slurm (docs/clusters.md)."""
-    workers: int | None = None
-    """Batches at a time; by default one for each core."""
 
 
 def rates_of(text: str) -> tuple[float, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from itertools import product
@@ -29,7 +28,7 @@ from experiments.study.design.arms import ARMS, EXTRA_ARMS, PAIRS
 from experiments.study.design.cell import LEARNER
 from experiments.study.results.loaded import SETTING, Results
 from experiments.support.errors import UserError
-from experiments.support.files import canonical_json, sha256_bytes
+from experiments.support.files import canonical_json, plain_json, sha256_bytes
 
 SCHEMA = 4
 BOTH = ("treatment", "control")
@@ -239,17 +238,5 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
         if isinstance(content, pd.DataFrame):
             table = content.drop(columns=WORKING_COLUMNS, errors="ignore")
             content = {"columns": list(table.columns), "rows": table.to_numpy(dtype=object).tolist()}
-        value[part.name] = _strict(content)
+        value[part.name] = plain_json(content, digits=12)
     return value
-
-
-def _strict(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return float(f"{value:.12g}") if math.isfinite(value) else None
-    return None if value is pd.NA else value

@@ -6,12 +6,15 @@ import errno
 import hashlib
 import io
 import json
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 from filelock import FileLock
 
 from agents.files import atomic, open_regular
@@ -21,6 +24,22 @@ from agents.schema import parsed
 def canonical_json(value: Any) -> str:
     """One text for one value: sorted keys, no spaces, no NaN. What hashes are taken of."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+
+
+def plain_json(value: Any, digits: int = 17) -> Any:
+    """A value as strict JSON has it: a number that is not finite, or missing, is None, and text is the key of a dict.
+
+    digits: significant ones that a float keeps; 17 are all.
+    """
+    if isinstance(value, dict):
+        return {str(key): plain_json(item, digits) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(item, digits) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+    return None if value is pd.NA else value
 
 
 def sha256_bytes(data: bytes) -> str:

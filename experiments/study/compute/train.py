@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from functools import partial
@@ -20,6 +19,7 @@ from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
 from experiments.study.design.cell import Cell, learner_of
 from experiments.support.errors import in_words
+from experiments.support.files import plain_json
 
 CURVE = 20  # parts of a learning curve
 
@@ -79,16 +79,10 @@ def learner_record(trained: Trained) -> dict[str, Any]:
     number) and curve (see `learning_curve`).
     """
     return {
-        **{name: _finite(value) for name, value in trained.record.items()},
+        **plain_json(trained.record),
         "episodes": len(trained.episodes["step"]),
         "curve": learning_curve(trained.episodes),
     }
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def learning_curve(episodes: Mapping[str, Any]) -> dict[str, list[Any]]:

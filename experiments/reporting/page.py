@@ -189,9 +189,8 @@ def together(name: str, analysis: Analysis) -> list[dict[str, Any]]:
     Of each of its bounds: the row of the analysis, the tasks in which it is contradicted, in which the pair is slow and
     which are not there, and the pairs of agents without one of which the verdict would be another.
     """
-    rows = analysis.price
-    rows = chosen(rows, backend=name, where="lightest") if len(rows) else rows
-    asked = rows[rows["scope"] == ALL_TASKS].to_dict("records") if len(rows) else []
+    rows = chosen(analysis.price, backend=name, where="lightest")
+    asked = chosen(rows, scope=ALL_TASKS).to_dict("records")
     for row in asked:
         tasks = chosen(rows, term=row["term"], scope=list(TASK_ORDER))
         row["contradicted"] = list(chosen(tasks, verdict=CONTRADICTED)["scope"])

@@ -182,8 +182,6 @@ def pairs(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 def bounds(analysis: Analysis, backend: str, where: str = "lightest") -> pd.DataFrame:
     """What the plan asks of a pair, held against one agent: a line a traffic, and the mean of the tasks or a task."""
-    if analysis.price.empty:
-        return pd.DataFrame()
     rows = chosen(analysis.price, backend=backend, where=where)
     order = {scope: number for number, scope in enumerate((ALL_TASKS, *TASK_ORDER))}
     lines = []

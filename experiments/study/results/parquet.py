@@ -121,9 +121,8 @@ def _records(path: Path, *state: int) -> dict[str, dict[str, Any]]:
 
 @lru_cache(8)
 def _frames(path: Path, *state: int) -> dict[str, dict[str, pd.DataFrame]]:
-    table, found = read(path), _records(path, *state)
-    check_table(table, found)
-    rows = dict(list(table.to_pandas().groupby(["cell", "purpose"], sort=False)))
+    found = _records(path, *state)
+    rows = check_table(read(path), found)
     return {
         name: {
             file: rows[name, purpose].drop(columns=["cell", "purpose"]).reset_index(drop=True)

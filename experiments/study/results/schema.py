@@ -93,19 +93,21 @@ def as_table(rows: pd.DataFrame, schema: pa.Schema | None) -> pa.Table:
         raise Wrong(str(error).partition("\n")[0]) from None
 
 
-def check_table(table: pa.Table, records: Mapping[str, Mapping[str, Any]]) -> None:
-    """That a table of SCHEMA has the episodes of the cells with these records, each once, and no more. Raises Wrong."""
+def check_table(table: pa.Table, records: Mapping[str, Mapping[str, Any]]) -> dict[Any, pd.DataFrame]:
+    """By cell and purpose the rows of a table of SCHEMA: the episodes of these records' cells, or it raises Wrong."""
     rows = table.to_pandas()
     for column in FINITE:
         if not np.isfinite(rows[column]).all():
             raise Wrong(f"{column} is not always a finite number")
     found = dict(list(rows.groupby(["cell", "purpose"], sort=False)))
+    odd = dict(found)
     for name, record in records.items():
         for file, purpose in PURPOSES.items():
             if file in record["files"]:
-                check_rows(record["key"], file, found.pop((name, purpose), rows.iloc[:0]))
-    if found:
-        raise Wrong(f"it has rows of {next(iter(found))}, without a record")
+                check_rows(record["key"], file, odd.pop((name, purpose), rows.iloc[:0]))
+    if odd:
+        raise Wrong(f"it has rows of {next(iter(odd))}, without a record")
+    return found
 
 
 def check_rows(key: Mapping[str, Any], file: str, rows: pd.DataFrame) -> None:

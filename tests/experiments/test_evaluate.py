@@ -84,7 +84,7 @@ def test_a_published_pair_takes_the_more_careful_of_its_agents_actions() -> None
         seen, pair = entrants("u-turn-3/more-careful")["u-turn", "3"].make(env)
         agents = [entrants(f"u-turn-3/{arm}")["u-turn", "3"].make(env)[1] for arm in ARMS]
         careful = ["SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT"]
-        names, differ = env.unwrapped.actions, 0
+        names, differ = env.unwrapped.actions, 0  # type: ignore[attr-defined]
         for seed in range(3):
             observation, over = seen.reset(seed=seed)[0], False
             for one in (pair, *agents):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -139,3 +141,18 @@ def test_what_a_task_has_no_number_of_is_left_out(table: pd.DataFrame) -> None:
     assert there["return"] == there["crashes_per_100_km"] == tasks  # they mean something else on each task
     for outcome in ("crashed", "hard_crash", "mean_speed"):
         assert there[outcome] == tasks | means
+
+
+def test_an_episode_without_a_crash_lasts_its_steps_by_the_policy_frequency() -> None:
+    episodes = pd.DataFrame(
+        {"cell": ["slow", "fast"], "traffic": "regular", "crashed": False, "crash_time": float("nan")}
+    )
+    episodes = episodes.assign(length=20, distance=100.0, **{"return": 1.0})
+    configs = {"slow": {"duration": 20}, "fast": {"duration": 10, "policy_frequency": 2}}
+    cells = {name: {"key": {"task": "u-turn", "env_config": config}} for name, config in configs.items()}
+    results: Any = SimpleNamespace(episodes=episodes, cells=cells)
+    found = with_outcomes(results)
+    assert found[["crash_free_time", "seconds", "progress"]].values.tolist() == [
+        [20.0, 20.0, 5.0],
+        [10.0, 10.0, 10.0],
+    ]

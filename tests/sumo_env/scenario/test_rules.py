@@ -104,9 +104,11 @@ def test_a_turn_is_missed_where_the_ego_can_no_longer_turn(tmp_path: Path) -> No
     assert number(env) == 2 and np.isinf(env.scene.place.free)
 
 
-@pytest.mark.parametrize("left_hand", [False, True])
-def test_left_is_left_where_people_drive_on_the_left(tmp_path: Path, left_hand: bool) -> None:
-    env = start(road(tmp_path, "", f"--lefthand={str(left_hand).lower()}"))
+@pytest.mark.parametrize("left_hand", ["false", "true", "1"])
+def test_left_is_left_where_people_drive_on_the_left(tmp_path: Path, left_hand: str) -> None:
+    net = road(tmp_path, "", f"--lefthand={left_hand}")
+    net.write_text(net.read_text().replace('lefthand="true"', f'lefthand="{left_hand}"'))
+    env = start(net)
     ways = {LEFT: -1.0, RIGHT: 1.0}  # along y, which points to the right of an ego that drives east
     for action, sign in (*ways.items(), *ways.items()):
         before = env.scene.y[0]

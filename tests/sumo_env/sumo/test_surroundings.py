@@ -18,11 +18,13 @@ from sumo_env.sumo.surroundings import FASTEST, Surroundings
 def test_whoever_is_near_is_seen_and_who_is_far_is_rarely_looked_at_also_while_others_come_and_go(
     seed: int,
 ) -> None:
-    """Any vehicles as fast as may be; one leaves and one comes in every sub-step, often by a name that has left."""
+    """Any vehicles as fast as may be, some towards the ego; one leaves and one comes in every sub-step, often by a name
+    that has left."""
     rng, dt, looks = np.random.default_rng(seed), 0.1, 0
     names = [f"v{number}" for number in range(60)]
     places = {name: rng.uniform(-1500.0, 1500.0, 2) for name in names} | {"ego": np.zeros(2)}
-    angles = {name: rng.uniform(0.0, math.tau) for name in places}
+    ways = {name: rng.uniform(-1.0, 1.0, 2) for name in places}
+    ways |= {name: -places[name] for name in names[::4]}
     arrived: list[str] = []
     departed: list[str] = []
 
@@ -51,8 +53,8 @@ def test_whoever_is_near_is_seen_and_who_is_far_is_rarely_looked_at_also_while_o
     around = Surroundings(session, 0.0)
     for step in range(60):
         for name, place in places.items():
-            way = np.array([math.cos(angles[name]), math.sin(angles[name])])
-            places[name] = place + FASTEST / 2.0 * dt * way
+            fast = 0.999 * FASTEST if name in names[::4] else 0.0 if name == "ego" else FASTEST / 2.0
+            places[name] = place + fast * dt * ways[name] / math.hypot(*ways[name])
         gone = rng.choice(names)
         arrived[:] = [gone] if places.pop(gone, None) is not None else []
         came = gone if rng.random() < 0.5 else rng.choice(names)

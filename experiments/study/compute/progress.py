@@ -16,7 +16,7 @@ from experiments.study.results.working import fraction_done
 STEP = {"sumo": 0.002, "replica": 0.001, "highway-env": 0.15}
 PLANNING = 0.15  # for a step of a planner, who drives copies
 UPDATE, COMPILED = 0.0045, 0.0025
-LENGTH = 10  # policy steps of an episode
+LENGTH = 10  # policy steps of an episode whose configuration has no duration
 EVERY = 15.0  # [s] between two lines where there is no terminal
 WINDOW = 600.0  # [s] of which the speed is taken
 
@@ -26,7 +26,8 @@ def costs(cell: Cell) -> tuple[float, float]:
     steps, updates = cell.budget
     update = COMPILED if cell.is_compiled else UPDATE
     step = PLANNING if cell.policy in ("planner", "clairvoyant") else STEP[cell.runs_on]
-    return updates * update + steps * STEP[cell.backend], cell.work * LENGTH * step
+    length = cell.env_config.get("duration", LENGTH)
+    return updates * update + steps * STEP[cell.backend], cell.work * length * step
 
 
 def seconds(cell: Cell) -> float:

@@ -26,7 +26,7 @@ from experiments.study.results.store import Store
 from experiments.support.errors import UserError, in_words, unknown
 from sumo_env.benchmark import SETTINGS, BenchmarkScenario, digest
 
-RULES = (*POLICIES, *MAKERS)
+RULES = tuple(dict.fromkeys((*POLICIES, *MAKERS)))
 Env = gym.Env[Any, Any]
 Place = tuple[str, str]  # task and level
 

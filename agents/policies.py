@@ -92,4 +92,9 @@ def foreign_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     """
     if name.endswith(".zip"):
         return StableBaselines(name, env)
-    return as_policy(load_object(name)(env), name)
+    make = load_object(name)
+    try:
+        inspect.signature(make).bind(env)
+    except TypeError as error:
+        raise ValueError(f"{name} must be a function of one argument, the environment: {error}.") from None
+    return as_policy(make(env), name)

@@ -74,10 +74,12 @@ def evaluated(options: Options, arguments: Sequence[str]) -> dict[str, Any]:
     """
     who = entrants(options.policy, options.agent)
     tasks = options.tasks or tuple(dict.fromkeys(task for task, _ in who))
-    if strange := set(tasks) - {task for task, _ in who}:
-        raise UserError(f"{options.policy} cannot drive {', '.join(strange)}: leave it out of --tasks")
     with in_words():
         scenarios = benchmark_scenarios(tasks, options.quick)
+    if strange := set(tasks) - {task for task, _ in who}:
+        raise UserError(f"{options.policy} cannot drive {', '.join(strange)}: leave it out of --tasks")
+    with writing(options.out):  # before minutes of driving
+        pass
     check_dynamics(("sumo", task) for task in tasks)
     groups = {group: list(own) for group, own in groupby(scenarios, lambda one: one.group)}
     episodes, digests = take(who, groups)

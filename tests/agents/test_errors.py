@@ -27,7 +27,10 @@ from tests.agents.test_rules import road
 from tests.experiments.fake_env import FakeEnv
 
 ENV = FakeEnv("u-turn", {})
-FILES = {"mine.py": "class Mine: pass\ndef nothing(env): return 3\n", "wrong.py": "1 / 0\n"}
+FILES = {
+    "mine.py": "class Mine: pass\ndef nothing(env): return 3\ndef bare(): return 3\n",
+    "wrong.py": "1 / 0\n",
+}
 NAN = Together(Greedy(Fixed(1.0, 0.9)), Greedy(Fixed(math.nan, 0.9)), (0, 1), Rule(weighed=(3.0, 0.3)))
 
 
@@ -71,6 +74,7 @@ CALLS: list[tuple[Callable[[], Any], str]] = [
     (lambda: make_policy("faster", road({0: "IDLE", 1: "SLOWER"})), "FASTER"),
     (lambda: make_policy("careful", road(features=("presence", "x", "y", "vy"))), "no vx"),
     (lambda: foreign_policy("mine.py:nothing", ENV), "no act"),
+    (lambda: foreign_policy("mine.py:bare", ENV), "one argument"),
     (lambda: load("u-turn-3", "contrl"), "u-turn-3/control"),
     (lambda: Estimator.load(other("other.npz")), "another network"),
     (lambda: NAN.act(np.ones((2, 6), np.float32)), "not a finite number"),

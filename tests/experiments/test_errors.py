@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from experiments import estimators, report, validate, watch
+from experiments import evaluate as command
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design import experiment
 from experiments.study.design.levels import choose_levels, choose_tasks
@@ -64,6 +65,11 @@ def validated(**part: Any) -> Callable[[], Any]:
     return lambda: validate.validate(validate.Options(Path("results"), update=True, **part))
 
 
+def evaluate_card(policy: str, **asked: Any) -> None:
+    """In which nothing is driven."""
+    command.evaluated(command.Options(policy, quick=True, **asked), [])
+
+
 def empty() -> None:
     Store(Path("new")).write_sweep("none", [])
     load(Path("new"))
@@ -87,6 +93,10 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (swept(policy=("mine.py:Other",)), "defines no Other"),
     (swept(settings=("device=toaster",)), "device toaster"),
     (swept(executor="slurm"), "--executor slurm is for machines"),
+    (partial(evaluate_card, "slower", tasks=("uturn",)), "did you mean 'u-turn'"),
+    (partial(evaluate_card, "slower", tasks=("merge",)), "the frozen test has no"),
+    (partial(evaluate_card, "slower", tasks=("u-turn",), out=Path("mine.py")), "mine.py"),
+    (partial(evaluate_card, "."), "has weights:"),
     # results and what is made of them
     (lambda: load(Path("nowhere")), "no results"),
     (lambda: watch.watch(watch.Options(Path("nowhere"), scenario=-1)), "counts from 0"),

@@ -100,7 +100,8 @@ def _stored(directory: Path, part: str) -> list[Entrant]:
             make = partial(driver, key, None, **files)
             found[record["timing"]["finished"] + name] = Entrant(name, (key["task"], key["level_name"]), make)
     if not found:
-        raise UserError(f"no agent in {directory} has weights and {part!r} in its name")
+        named = f" and {part!r} in its name" if part else ""
+        raise UserError(f"no agent in {directory} has weights{named}: experiments/train.py --out makes some")
     return [found[time] for time in sorted(found, reverse=True)]
 
 

@@ -28,7 +28,9 @@ if not (_HERE / "networks").is_dir():
     __path__.append(str(_HERE.parent))
 
 from sumo_env.not_here import NOT_HERE  # noqa: E402  (below the path of sumo_env.networks)
+from sumo_env.not_here import did_you_mean as _did_you_mean  # noqa: E402
 from sumo_env.tasks import TASKS as _TASKS  # noqa: E402
+from sumo_env.tasks import get_task as _get_task  # noqa: E402
 
 __version__ = "0.1.0"
 
@@ -69,7 +71,11 @@ def register(id: str, task: Any) -> None:
         task: a `sumo_env.tasks.base.Task` of your own (docs/own-parts.md), or the name of one that is here.
     """
     if isinstance(task, type):
-        raise TypeError(f"register({id!r}, {task.__name__}) needs a task, not its class: {task.__name__}()")
+        raise TypeError(
+            f"register({id!r}, {task.__name__}) needs a task, not a class: {task.__name__}() of a Task; classes of "
+            "environments are for gym.register"
+        )
+    _get_task(task)
     if id in NOT_HERE:
         gym.registry.pop(id, None)
     gym.register(
@@ -102,8 +108,10 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(_LATER[name]), name)
     if name == "envs":  # as highway_env.envs
         return import_module("sumo_env.envs")
-    where = "; classes to derive from are in sumo_env.envs" if name.endswith("Env") else ""
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{where}", name=name)
+    hint = _did_you_mean(name, (name for name in __dir__() if name[0] != "_"), 0.75)
+    if name in import_module("sumo_env.envs").__all__:
+        hint = "classes to derive from are in sumo_env.envs"
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}" + (hint and f"; {hint}"), name=name)
 
 
 def __dir__() -> list[str]:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 
-from sumo_env.config import ConfigError, nearest
+from sumo_env.config import ConfigError, names_of, nearest
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.drivers import UNCALIBRATED
 from sumo_env.traffic.scenario import Scenario
@@ -76,7 +76,7 @@ def benchmark_scenarios(tasks: Iterable[str] = (), quick: bool = False) -> list[
     Raises:
         ConfigError: a task that the test does not have.
     """
-    for task in (asked := list(tasks)):
+    for task in (asked := names_of("tasks", tasks)):
         if task not in SETTINGS:
             raise ConfigError(f"the frozen test has no task {task!r}: {nearest(task, SETTINGS)}")
     found, seed = [], FIRST_SEED

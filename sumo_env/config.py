@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -22,6 +22,7 @@ MEASURED = "measured"
 DRIVERS = ("highway-env", MEASURED)
 STEP_ERROR = 0.0101  # of SUMO's step: 1 %, and rounding
 STOCK_FREQUENCY = 15  # [Hz] highway-env's ``simulation_frequency``
+MOST_ENVS = 1_000_000  # side by side
 MOST_VEHICLES = 10_000  # more would take all memory or all time
 
 
@@ -64,7 +65,7 @@ KEYS = {
     "initial_vehicle_count": Key(within=f"[0, {MOST_VEHICLES}]", is_whole=True, renamed="vehicles_count"),
     "oncoming_vehicles_count": Key(within=f"[0, {MOST_VEHICLES}]", is_whole=True),
     "lanes_count": Key(within="(0, 6]", is_whole=True),  # `networks.plans.LANES_COUNTS`
-    "ego_spacing": Key(renamed="initial_spacing"),
+    "ego_spacing": Key(within="[0, inf]", renamed="initial_spacing"),
     "vehicles_density": Key(within="(0, inf]"),
     "road_length": Key(within="(0, 100000]"),  # [m]
     "duration": Key(within="(0, 100000]"),  # [s] SUMO's clock counts milliseconds
@@ -176,6 +177,8 @@ IGNORED = {
 ARGUMENTS = {
     **dict.fromkeys(("sumo_options", "live", "output_dir"), "single environments on SUMO"),
     **dict.fromkeys(("scenarios", "variant", "risk_law"), "replica/*"),
+    **dict.fromkeys(("ego_route", "ego_trips", "ego_vehicle", "ego_type", "routes"), "SumoDrivingEnv"),
+    **dict.fromkeys(("vehicles", "vehicle_type", "max_cars"), "parallel_env of SUMO's files"),
 }
 
 
@@ -224,11 +227,21 @@ def whole_number(name: str, value: Any, most: int) -> int:
     return int(value)
 
 
-def keys_of(config: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """The keys of a configuration that a user may have given. Raises ConfigError where it is no dict."""
-    if not isinstance(config, Mapping | None):
-        raise ConfigError(f"the configuration must be a dict such as {{'vehicles_count': 5}}, not {config!r}")
-    return config or {}
+def keys_of(
+    given: Mapping[str, Any] | None, what: str = "the configuration", like: str = "{'vehicles_count': 5}"
+) -> Mapping[str, Any]:
+    """The keys of a dict that a user may have given. Raises ConfigError where it is none."""
+    if not isinstance(given, Mapping | None):
+        raise ConfigError(f"{what} must be a dict such as {like}, not {given!r}")
+    return given or {}
+
+
+def names_of(what: str, given: Any) -> tuple[str, ...]:
+    """Names of a list that a user has given. Raises ConfigError for one name alone, and for anything else."""
+    names = tuple(given) if isinstance(given, Iterable) and not isinstance(given, str | Mapping) else (None,)
+    if not all(isinstance(name, str) for name in names):
+        raise ConfigError(f"{what} must be a list of names, not {given!r}")
+    return names
 
 
 def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -> Config:
@@ -272,7 +285,7 @@ def refuse_arguments(unknown: Mapping[str, Any], known: Mapping[str, Any]) -> No
     """Python's own TypeError about unknown arguments, which says how a key of a configuration (`known`) is set."""
     for key, value in unknown.items():
         hint = f"; it is for {ARGUMENTS[key]}" if key in ARGUMENTS else ""
-        if key in known:
+        if key in {**known, **FIXED}:
             hint = f"; a key of the configuration is set by config={{{key!r}: {value!r}}}"
         raise TypeError(f"__init__() got an unexpected keyword argument {key!r}{hint}")
 
@@ -325,6 +338,8 @@ def _plain(value: Any) -> Any:
 
 
 def _check(task: str, config: Config, defaults: Config) -> None:
+    if lacking := TYPES.keys() - config.keys():
+        raise ConfigError(f"the defaults of {task!r} lack {', '.join(sorted(lacking))}: add the base class's")
     for key, default in defaults.items():
         KEYS.get(key, Key()).check(key, default, config[key])
     one_of("value of config['drivers']:", config["drivers"], DRIVERS)

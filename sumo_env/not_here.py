@@ -20,6 +20,9 @@ _TASK = "write a task of your own"
 _PICTURES = "render_mode='rgb_array' makes pictures, 'human' opens a window"
 _PLACES = "vehicles cannot be placed but by a task of your own; the generator is env.unwrapped.np_random"
 
+# of environments that a compiled batch drives
+ALONE = 'gym.make_vec(..., vectorization_mode="sync") has environments that can'
+
 
 def _all(names: str, reason: str) -> dict[str, str]:
     return dict.fromkeys(names.split(), reason)
@@ -28,7 +31,10 @@ def _all(names: str, reason: str) -> dict[str, str]:
 # Of these nothing is called or read here, so that a class derived from an environment overrides them in vain.
 NEVER_CALLED: dict[str, str] = {
     **_all("_make_road _create_road _make_vehicles _create_vehicles _spawn_vehicle _clear_vehicles", _TASK),
-    **_all("_agent_reward _agent_rewards _agent_is_terminal", "override _reward, _rewards or _is_terminated"),
+    **_all(
+        "_agent_reward _agent_rewards _agent_is_terminal _is_terminal _cost",
+        "override _reward, _rewards or _is_terminated",
+    ),
     **_all("change_vehicles randomize_behavior set_vehicle_field set_preferred_lane", _TRAFFIC),
     **_all("call_vehicle_method set_route_at_intersection", _TRAFFIC),
     **_all("_simulate simplify", _COPY),
@@ -50,6 +56,8 @@ REASONS: dict[str, str] = {
     **_all("viewer enable_auto_render", _PICTURES),
     **_all("route destination plan_route_to", "env.unwrapped.scenario has where vehicles drive to"),
     **_all("create_random make_on_lane create_from np_random", _PLACES),
+    **_all("envs call get_attr set_attr", ALONE),
+    "seed": "reset(seed=...) takes it",
     "done": "step() returns whether the episode is over",
     "env": "read env.unwrapped",
 }

@@ -11,14 +11,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, one_of
 from sumo_env.env import DrivingEnv
 from sumo_env.env.cars import REPLICA, Cars, Seen, asked
 from sumo_env.networks import files
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
-from sumo_env.tasks.reset_options import OPTIONS
+from sumo_env.tasks.reset_options import OPTIONS, given
 
 try:
     from pettingzoo import ParallelEnv
@@ -60,18 +60,21 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
 
     def observation_space(self, agent: str) -> gym.spaces.Space[Any]:
         """Of an agent."""
-        return self.cars[agent].observation_space
+        return self._car(agent).observation_space
 
     def action_space(self, agent: str) -> gym.spaces.Space[Any]:
         """Of an agent."""
-        return self.cars[agent].action_space
+        return self._car(agent).action_space
+
+    def _car(self, agent: str) -> DrivingEnv:
+        return self.cars[one_of("agent", agent, tuple(self.cars))]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start an episode, see `DrivingEnv.reset`."""
-        known = {key: value for key, value in (options or {}).items() if key in OPTIONS}
-        if unknown := (options or {}).keys() - known.keys():  # PettingZoo's own test gives some
+        known = {key: value for key, value in given(options).items() if key in OPTIONS}
+        if unknown := given(options).keys() - known.keys():  # PettingZoo's own test gives some
             gym.logger.warn("%s", f"options without effect: {', '.join(sorted(unknown))}")
         return self._enter(self._cars.reset(seed, known), [])
 
@@ -93,8 +96,11 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
         Raises:
             ValueError: not one action for each of `agents`.
         """
-        if actions.keys() != set(self.agents):
-            raise ValueError(f"actions must be those of {self.agents}, not of {sorted(actions)}")
+        if not isinstance(actions, Mapping) or actions.keys() != set(self.agents):
+            wanted = (
+                f"a dict of those of {self.agents}" if self.agents else "{}, as no car drives: call reset()"
+            )
+            raise ValueError(f"actions must be {wanted}, not {actions!r}")
         if not self.agents:
             return {}, {}, {}, {}, {}
         acting = {self.possible_agents.index(agent): actions[agent] for agent in self.agents}
@@ -191,11 +197,11 @@ def parallel_env(
     make: Any = DrivingEnv
     if not isinstance(env, Task) and (files.is_file(str(env)) or str(env).endswith(".sumocfg")):
         parts = ("routes", "additional", "vehicles", "vehicle_type", "max_cars")
-        given = {name: keywords.pop(name) for name in parts if name in keywords}
-        ids, kind, most = (given.get(name) for name in parts[2:])
+        of_files = {name: keywords.pop(name) for name in parts if name in keywords}
+        ids, kind, most = (of_files.get(name) for name in parts[2:])
         if bool(ids) == bool(kind) or bool(kind) != bool(most):
             raise ConfigError("name learning cars by vehicles=[ids], or by vehicle_type= with max_cars=")
-        fleet = NetworkTask(env, **given)
+        fleet = NetworkTask(env, **of_files)
         if "controlled_vehicles" in (config or {}):
             raise ConfigError("on a network of your own 'max_cars' says how many learning cars there are")
         config, env = {**(config or {}), "controlled_vehicles": fleet.max_cars}, fleet

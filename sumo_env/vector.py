@@ -17,13 +17,14 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
-from sumo_env.config import COMMON, refuse_arguments
+from sumo_env.config import COMMON, MOST_ENVS, refuse_arguments, whole_number
 from sumo_env.env import DrivingEnv
 from sumo_env.simulator import SimulatorError
 from sumo_env.spaces.interface import actions_of, seeds_of
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import Task
+from sumo_env.tasks.reset_options import given
 
 
 class SumoVectorEnv(SyncVectorEnv):
@@ -43,8 +44,7 @@ class SumoVectorEnv(SyncVectorEnv):
         autoreset_mode: as of `SyncVectorEnv`; by default the step after the end of an episode is its reset.
 
     Raises:
-        ConfigError: as for one environment.
-        ValueError: `num_envs` is less than 1.
+        ConfigError: as for one environment; `num_envs` is no whole number from 1 on.
     """
 
     def __init__(
@@ -57,8 +57,7 @@ class SumoVectorEnv(SyncVectorEnv):
         **unknown: Any,
     ) -> None:
         refuse_arguments(unknown, {**COMMON, **get_task(task).defaults})
-        if num_envs < 1:
-            raise ValueError(f"num_envs must be at least 1, not {num_envs}")
+        num_envs = whole_number("num_envs", num_envs, MOST_ENVS)
         self._pool = ThreadPoolExecutor(num_envs, thread_name_prefix="sumo_env")
         self._ahead = [
             _Ahead(DrivingEnv(task, config, render_mode, SumoProcess()), self._pool) for _ in range(num_envs)
@@ -75,10 +74,10 @@ class SumoVectorEnv(SyncVectorEnv):
             ConfigError: ``options["config"]`` is not right.
             ValueError: wrong number of seeds, or a configuration with another observation or action space.
         """
-        if config := (options or {}).get("config"):
+        options, seeds = given(options), seeds_of(self, seed)
+        if config := options.get("config"):
             self._check(config)
-        seeds = seeds_of(self, seed)
-        if "reset_mask" not in (options or {}):
+        if "reset_mask" not in options:
             for env, one in zip(self._ahead, seeds, strict=True):
                 env.begin("reset", seed=one, options=options)
         try:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import update_wrapper
 from types import MethodType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.compat.views import RoadView, Vehicle, View, only_read, road_view
-from sumo_env.config import STOCK_FREQUENCY, Config, resolve
+from sumo_env.config import STOCK_FREQUENCY, Config, keys_of, resolve
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.not_here import NEVER_CALLED, missing, page
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
@@ -20,6 +20,8 @@ from sumo_env.spaces.actions import ActionType as Kind
 from sumo_env.spaces.actions import Situation
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
+
+T = TypeVar("T")
 
 
 class _ClassOrInstance:
@@ -35,6 +37,26 @@ class _ClassOrInstance:
 
 class_or_instance: Any = _ClassOrInstance  # subclasses may write a method or a class method
 AFTER_RESET = ("vehicle", "controlled_vehicles", "road", "scene", "time", "steps")
+
+
+def returned(owner: object, name: str, value: Any, kind: type[T]) -> T:
+    """What a user's method has returned, as a number (float) or a dict. Raises TypeError if it is none."""
+    try:
+        return kind(value)
+    except (TypeError, ValueError):
+        wanted = "a number" if kind is float else "a dict"
+        raise TypeError(f"{type(owner).__name__}.{name} must return {wanted}, not {value!r}") from None
+
+
+if TYPE_CHECKING:
+    _only_read = property
+else:
+
+    class _only_read(property):
+        """A property of what the simulator decides, which scripts for highway-env might set."""
+
+        def __set__(self, instance, value):
+            raise only_read(self.fget.__name__)
 
 
 class ActionType(View):
@@ -89,6 +111,9 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
         def __getattr__(self, name: str) -> NoReturn:
             owner = type(self).__name__
+            if "_given" not in vars(self):
+                what = f"{owner!r} has no attribute {name!r}: its __init__ has to call super().__init__()"
+                raise AttributeError(what, name=name)
             if name in AFTER_RESET:
                 raise AttributeError(f"{owner!r} has no attribute {name!r}: call reset() first", name=name)
             raise missing(repr(owner), name, dir(type(self)))
@@ -111,11 +136,11 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         if isinstance(defaults.__self__, type):
             known: Any = type(type(self).__name__, (type(self),), vars(self))
             defaults = known.default_config
-        return dict(defaults())
+        return returned(self, "default_config", defaults(), dict)
 
     def _resolved(self, config: Mapping[str, Any] | None) -> tuple[Config, bool]:
         """The configuration with these changes, and whether its `simulation_frequency` is one that nobody asked for."""
-        asked, frequency = {**getattr(self, "config", {})}, "simulation_frequency"
+        asked, frequency = {**keys_of(getattr(self, "config", {}))}, "simulation_frequency"
         if self._is_raised and asked[frequency] == STOCK_FREQUENCY:
             del asked[frequency]
         defaults = self._defaults()
@@ -132,12 +157,12 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         seen = self.scene, self._road, self.ego_state, self._spec_of, self._row_order
         return Situation(*seen, self.target_speeds, self._route, self._before_ego, self.steps == 0)
 
-    @property
+    @_only_read
     def time(self) -> float:
         """Since the start of the episode [s]."""
         return self.steps / float(self.config["policy_frequency"])
 
-    @property
+    @_only_read
     def controlled_vehicles(self) -> list[Vehicle]:
         """The ego."""
         return [self.vehicle]
@@ -155,7 +180,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     def observation_type(self, value: Any) -> None:
         self._own_observation = value
 
-    @property
+    @_only_read
     def road(self) -> RoadView:
         """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
         if self._view is None or self._view.scene is not self.scene:
@@ -177,14 +202,10 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
             )
         return self._view
 
-    @property
+    @_only_read
     def vehicle(self) -> Vehicle:
         """The ego: position, speed, heading, lane_index, crashed, ..."""
         return self.road.vehicles[0]
-
-    @vehicle.setter
-    def vehicle(self, value: object) -> NoReturn:
-        raise only_read("vehicle")
 
     @property
     def action_type(self) -> Any:

@@ -62,6 +62,11 @@ class _Vehicles(tuple["Vehicle", ...]):
     def __getattr__(self, name: str) -> NoReturn:
         raise only_read("vehicles") if hasattr(list, name) else AttributeError(name)
 
+    def __setitem__(self, index: object, value: object = None) -> NoReturn:
+        raise only_read("vehicles")
+
+    __delitem__: Any = __setitem__
+
 
 class View:
     """Values that can only be read; an error about another one says what to use instead."""
@@ -381,5 +386,5 @@ def road_view(
             )
         )
     vars(view)["vehicles"] = _Vehicles(vehicle for vehicle in vehicles if not is_obstacle(vehicle.id))
-    vars(view)["objects"] = tuple(vehicle for vehicle in vehicles if is_obstacle(vehicle.id))
+    vars(view)["objects"] = _Vehicles(vehicle for vehicle in vehicles if is_obstacle(vehicle.id))
     return view

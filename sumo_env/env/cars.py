@@ -21,6 +21,7 @@ from sumo_env.env.driving import DrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import Commands
 from sumo_env.spaces.info import paid_late
+from sumo_env.tasks import reset_options
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
 
@@ -228,11 +229,11 @@ class TupleEnv(gym.Env[Any, Any]):
         Raises:
             ConfigError: as there; another number of cars.
         """
-        given, self._is_over = dict(options or {}), False
-        if "config" in given:
-            self.configure(given.pop("config"))
+        asked_for, self._is_over = reset_options.given(options), False
+        if "config" in asked_for:
+            self.configure(asked_for.pop("config"))
         super().reset(seed=seed)
-        seen = self.cars.reset(seed, given)
+        seen = self.cars.reset(seed, asked_for)
         self._np_random = self.cars.first._np_random
         self._set_spaces()
         return self._observed(seen), self._informed(seen, [env._reward(None) for env in self.cars.envs])

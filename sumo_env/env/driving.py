@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.compat.as_highway_env import class_or_instance
+from sumo_env.compat.as_highway_env import class_or_instance, returned
 from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_arguments, tell_of_steps
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.env.screen import OnScreen
@@ -198,7 +198,7 @@ class DrivingEnv(OnScreen, OwnSumo):
         self.ego_state = self._ego_state(None)
         self._film((self.scene,))
         observation = self._observe()
-        return observation, self._info(observation)
+        return observation, returned(self, "_info", self._info(observation, None), dict)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one policy step.
@@ -267,13 +267,14 @@ class DrivingEnv(OnScreen, OwnSumo):
         action = plain if isinstance(plain, int) else np.array(action, np.float32)
         self.ego_state = self._ego_state(plain)
         observation = self._observe()
-        reward = float(self._reward(action))
+        reward = returned(self, "_reward", self._reward(action), float)
         terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
         self._ending = ending(self.ego_state, self.task.arrived(self.ego_state), terminated, truncated)
         if self._is_closed:
             truncated, self._ending = True, self._ending or "window closed"
         self._is_over = self._is_over or terminated or truncated
-        return observation, reward, terminated, truncated, self._info(observation, action)
+        info = returned(self, "_info", self._info(observation, action), dict)
+        return observation, reward, terminated, truncated, info
 
     def _follow_up(self) -> None:
         """What happens between two steps."""
@@ -288,6 +289,8 @@ class DrivingEnv(OnScreen, OwnSumo):
         Args:
             seed: of the events; the same seed imagines the same.
         """
+        if not isinstance(seed, int | np.integer) or seed < 0:
+            raise ConfigError(f"the seed of imagine() must be a whole number from 0 on, not {seed!r}")
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before imagine()")
         twin = copy.deepcopy(self)
@@ -357,11 +360,12 @@ class DrivingEnv(OnScreen, OwnSumo):
 
     def _reward(self, action: Any) -> float:
         """The reward of a step."""
-        return self.task.reward(self._rewards(action), self.config)
+        terms = returned(self, "_rewards", self._rewards(action), dict)
+        return returned(self.task, "reward", self.task.reward(terms, self.config), float)
 
     def _rewards(self, action: Any) -> dict[str, float]:
         """The raw terms of the reward, by name; the action is None at a reset."""
-        return dict(self.task.rewards(self.ego_state, self.config))
+        return returned(self.task, "rewards", self.task.rewards(self.ego_state, self.config), dict)
 
     def _is_terminated(self) -> bool:
         """Whether the episode has ended by what happened in it."""
@@ -381,7 +385,7 @@ class DrivingEnv(OnScreen, OwnSumo):
             step.distance,
             arrived=self.task.arrived(state),
             on_road=state.on_road,
-            rewards=self._rewards(action),
+            rewards=returned(self, "_rewards", self._rewards(action), dict),
             action=self._action_type.no_action if action is None else action,
             ending=self._ending,
         )

@@ -103,6 +103,8 @@ class OwnSumo(ReadAsHighwayEnv):
         """
         if self.steers:
             raise ConfigError("SUMO drives nothing on the replica: hand_over is for environments on SUMO")
+        if (self._leader or self).scenario is None:
+            raise gym.error.ResetNeeded("call reset() before hand_over(), which lasts until the next one")
         self._handed_over = to_sumo
 
     @property

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, warn_once
 from sumo_env.spaces.actions import ActionType, ContinuousAction, DiscreteAction
 
 PRESSED = 0.7  # of a number from -1 to 1 (``EventHandler.handle_continuous_action_event``)
@@ -37,6 +38,8 @@ class Window:
             pygame.display.init()
             self._screen = pygame.display.set_mode((width, height))
             pygame.display.set_caption(title)
+            if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+                warn_once("no window is seen: it needs a display (the variable DISPLAY)")
         self._screen.blit(pygame.surfarray.make_surface(picture.swapaxes(0, 1)), (0, 0))
         pygame.display.flip()
         self._clock.tick(frequency)

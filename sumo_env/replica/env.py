@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 
 from sumo_env.compat.as_highway_env import class_or_instance
-from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_arguments
+from sumo_env.config import (
+    COMMON,
+    STOCK_FREQUENCY,
+    Config,
+    ConfigError,
+    ignore,
+    keys_of,
+    one_of,
+    refuse_arguments,
+)
 from sumo_env.env.driving import DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.replica import draws
@@ -105,7 +114,7 @@ class ReplicaEnv(DrivingEnv):
     ) -> None:
         if version and (task, version) not in VERSIONS:
             known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)
-            raise ConfigError(f"there is no version {version} of {task!r}; later versions are {known}")
+            raise ConfigError(f"there is no version {version!r} of {task!r}; later versions are {known}")
         self._versioned = VERSIONS.get((str(task), version), {})
         self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
         self._is_linear = one_of("risk_law", risk_law, LAWS) == "linear"
@@ -131,7 +140,7 @@ class ReplicaEnv(DrivingEnv):
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         if self.is_stock:
-            config = self._without_ours(config or {})
+            config = self._without_ours(keys_of(config))
         super().configure(config)
         if self.is_stock or self._versioned:
             self.replica.connected = bool(self.config.get("neighbour_vehicles_connected_lanes", False))

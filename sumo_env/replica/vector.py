@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
+from typing import Any, NoReturn
 
 import gymnasium as gym
 import numpy as np
@@ -17,8 +17,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from sumo_env.config import ConfigError
+from sumo_env.config import MOST_ENVS, ConfigError, whole_number
 from sumo_env.contacts.measures import NEAR_MISS_TTC
+from sumo_env.not_here import ALONE, missing
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SPEEDS, EnvParams, Start
@@ -29,10 +30,10 @@ from sumo_env.spaces.actions import SIDES, ContinuousAction
 from sumo_env.spaces.interface import actions_of, seeds_of
 from sumo_env.tasks import TASKS, VARIANTS
 from sumo_env.tasks.base import nearest_index
+from sumo_env.tasks.reset_options import given
 
 RESULTS = kernels.OUTCOME.names or ()
 PATIENCE = 1e-5  # [s] until it is looked again whether all threads have begun
-ALONE = 'gym.make_vec(..., vectorization_mode="sync") has environments that can'
 
 
 def make(
@@ -74,15 +75,14 @@ class ReplicaVectorEnv(VectorEnv):
         threads: that drive episodes at the same time; results do not depend on it.
 
     Raises:
-        ValueError: `num_envs` or `threads` is less than 1.
+        ConfigError: `num_envs` or `threads` is no whole number from 1 on.
     """
 
     def __init__(
         self, single: ReplicaEnv, num_envs: int, autoreset_mode: str | AutoresetMode, threads: int
     ) -> None:
-        if num_envs < 1 or threads < 1:
-            raise ValueError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
-        self._single, self.num_envs, self._threads = single, num_envs, threads
+        num_envs = self.num_envs = whole_number("num_envs", num_envs, MOST_ENVS)
+        self._single, self._threads = single, whole_number("threads", threads, MOST_ENVS)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_observation_space = single.observation_space
@@ -97,7 +97,7 @@ class ReplicaVectorEnv(VectorEnv):
         self._controls = np.zeros((num_envs, 2))  # accelerations and angles of egos that are steered
         assert single.form is not None
         self._batch = kernels.no_episodes(num_envs, single.form.rows, len(single.form.features))
-        self._pool = ThreadPoolExecutor(threads, "sumo_env") if threads > 1 else None
+        self._pool = ThreadPoolExecutor(self._threads, "sumo_env") if self._threads > 1 else None
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 
@@ -115,7 +115,7 @@ class ReplicaVectorEnv(VectorEnv):
             ConfigError: an unknown option, key or name, a wrong value.
             ValueError: wrong number of seeds, or a configuration with another observation or action space.
         """
-        options = dict(options or {})
+        options = given(options)
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, np.bool_)))
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(f"'reset_mask' must be bool of shape ({self.num_envs},), some of it True")
@@ -159,6 +159,9 @@ class ReplicaVectorEnv(VectorEnv):
             infos, driven = self._restart(actions), np.where(self._over, AFRESH, driven)
         infos |= self._infos(self._told(actions, driven == AFRESH), np.ones(self.num_envs, np.bool_))
         return self._batch.observations.copy(), rewards, terminated, truncated, infos
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise missing("a compiled batch", name, dir(type(self)))
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""

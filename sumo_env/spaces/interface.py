@@ -83,15 +83,17 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
 
 def seeds_of(envs: VectorEnv, seed: int | Sequence[int | None] | None) -> list[int | None]:
     """A seed for each environment: an integer means seed, seed + 1, ...; ValueError: too many or too few."""
+    _refuse_closed(envs)
     if seed is None or isinstance(seed, int | np.integer):
         return [None if seed is None else int(seed) + index for index in range(envs.num_envs)]
-    if len(seed) != envs.num_envs:
-        raise ValueError(f"{envs.num_envs} seeds are needed, not a list of length={len(seed)}")
+    if isinstance(seed, str) or np.ndim(seed) != 1 or len(seed) != envs.num_envs:
+        raise ValueError(f"an integer or {envs.num_envs} seeds are needed, not {seed!r}")
     return list(seed)
 
 
 def actions_of(envs: VectorEnv, actions: Any) -> NDArray[Any]:
     """One action for each environment; ValueError if they are none. Whether numbers are actions is looked at later."""
+    _refuse_closed(envs)
     actions = np.asarray(actions)
     if isinstance(envs.single_action_space, gym.spaces.Box):
         known = actions.shape == envs.action_space.shape
@@ -100,3 +102,8 @@ def actions_of(envs: VectorEnv, actions: Any) -> NDArray[Any]:
     if not known:
         raise ValueError(f"actions must be {envs.num_envs} of {envs.single_action_space}, not {actions}")
     return actions
+
+
+def _refuse_closed(envs: VectorEnv) -> None:
+    if envs.closed:
+        raise gym.error.ClosedEnvironmentError(f"{envs} is closed: make another one")

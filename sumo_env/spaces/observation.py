@@ -84,7 +84,8 @@ class Kinematics:
                 "y": (-4.0 * side_lanes, 4.0 * side_lanes),
                 "vx": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
                 "vy": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
-            }
+            },
+            known,
         )
         self.absolute, self.observe_intentions = bool(given["absolute"]), bool(given["observe_intentions"])
         for key in ("vehicles_count", "order", "normalize", "clip", "see_behind"):
@@ -253,15 +254,16 @@ def on_its_way(scene: Scene) -> dict[str, float]:
     return dict(zip((*ON_ITS_WAY, *ON_REQUEST), (*values, *asked_for), strict=True))
 
 
-def ranges_of(given: Any) -> dict[str, tuple[float, float]]:
+def ranges_of(given: Any, known: tuple[str, ...] = FEATURES) -> dict[str, tuple[float, float]]:
     """Ranges of features that can be mapped to [-1, 1]."""
     try:
         ranges = {name: (float(low), float(high)) for name, (low, high) in given.items()}
-        if all(abs(high - low) > 0.0 for low, high in ranges.values()):
-            return ranges
+        is_right = all(abs(high - low) > 0.0 for low, high in ranges.values())
     except (AttributeError, TypeError, ValueError):
-        pass
-    raise ConfigError(f"observation 'features_range' must map features to [low, high], not {given!r}")
+        is_right = False
+    if not is_right:
+        raise ConfigError(f"observation 'features_range' must map features to [low, high], not {given!r}")
+    return {one_of("feature in 'features_range':", name, known): limits for name, limits in ranges.items()}
 
 
 def destination_direction(

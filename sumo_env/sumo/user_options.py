@@ -60,7 +60,7 @@ def check_options(options: Sequence[str], of_files: bool) -> dict[str, str]:
     Raises:
         ConfigError: not a list of strings, no long name, an option that cannot be changed, or one that has no effect.
     """
-    if isinstance(options, str) or not all(isinstance(option, str) for option in options):
+    if not isinstance(options, list | tuple) or not all(isinstance(option, str) for option in options):
         raise ConfigError(f'sumo_options must be a list of strings such as ["--scale", "2"], not {options!r}')
     found: dict[str, str] = {}
     name = ""

@@ -28,8 +28,10 @@ def get_task(name: str | Task) -> Task:
     """
     if isinstance(name, Task):
         return name
-    if isinstance(name, type):
+    if isinstance(name, type) and issubclass(name, Task):
         raise ConfigError(f"a task is needed, not its class: {name.__name__}()")
+    if not isinstance(name, str):
+        raise ConfigError(f"a task is a name, such as 'highway', or a Task, not {name!r}")
     if name not in TASKS | VARIANTS:
         raise ConfigError(f"unknown task {name!r}: {nearest(name, list(TASKS))}")
     return (TASKS | VARIANTS)[name]

@@ -9,7 +9,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError, warn_once
+from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError, names_of, warn_once
 from sumo_env.networks import files
 from sumo_env.networks.roads import Road
 from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST
@@ -99,6 +99,15 @@ class NetworkTask(Task):
         for name, instead in NOT_ASKED.items():
             if getattr(type(self), name) is not getattr(Task, name):
                 raise ConfigError(f"{type(self).__name__}.{name} is never asked: on SUMO's files {instead}")
+        for name, word in (
+            ("ego_vehicle", ego_vehicle),
+            ("ego_type", ego_type),
+            ("vehicle_type", vehicle_type),
+        ):
+            if not isinstance(word, str | None):
+                raise ConfigError(f"{name} must be an id of SUMO's files, such as '0', not {word!r}")
+        if len(set(vehicles := names_of("vehicles", vehicles))) < len(vehicles):
+            raise ConfigError(f"vehicles must be different ids, not {vehicles!r}")
         (file,) = paths("network", network)
         self.outputs: tuple[tuple[str, str], ...] = ()  # of the configuration, which are off
         if is_configuration(file):
@@ -136,7 +145,7 @@ class NetworkTask(Task):
             self.target_speeds = (0.0, round(self._limit / 2, 2), round(self._limit, 2))
         # what a Kinematics table has unless it is said; a subclass may see something else
         table = {**NetworkTask.defaults["observation"], "features_range": _ranges(self._limit)}
-        seen = self.defaults["observation"]
+        seen = self.defaults.get("observation", table)
         if seen["type"] == table["type"]:
             seen = table = {**table, **seen}
         self.table: Config = table
@@ -165,7 +174,7 @@ class NetworkTask(Task):
         for name, way in named:
             if isinstance(way, str | Path) or not way:
                 raise ConfigError(f"{name} must be a list of edges, or all of routes files, not {way!r}")
-        self._drawn = tuple((name, tuple(way)) for name, way in named)
+        self._drawn = tuple((name, names_of(name, way)) for name, way in named)
         return bool(named) or "route-files" not in options
 
     def _take_ego(self, route: Any, trips: Sequence[tuple[str, str]], type: str) -> tuple[Origin, ...]:
@@ -183,10 +192,10 @@ class NetworkTask(Task):
                 raise ConfigError(f"ego_trips must be pairs of edges, not {trips!r}")
             origins = tuple(Origin(tuple(trip), True, kind) for trip in trips)
         else:
-            if isinstance(route, str):
+            if isinstance(route, str | Mapping):
                 raise ConfigError(f"ego_route must be a list of edges, not {route!r}")
             several = [route] if isinstance(route[0], str) else route
-            origins = tuple(Origin(tuple(way), False, kind) for way in several)
+            origins = tuple(Origin(names_of("ego_route", way), False, kind) for way in several)
         for origin in origins:
             vehicles = "" if type else files.CAR
             if origin.is_trip:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, keys_of
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.tilt import TILTED
 
@@ -15,14 +15,19 @@ VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `r
 OPTIONS = ("config", "scenario", *VARIED, *TILTED)
 
 
+def given(options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The options of a reset. Raises ConfigError where they are no dict."""
+    return dict(keys_of(options, "reset's options", "{'config': {'risk': 0.5}}"))
+
+
 def checked(options: Mapping[str, Any] | None) -> dict[str, Any]:
     """The options of a reset. Raises ConfigError for an unknown one, or for a scenario beside what draws another."""
-    given, drawing = dict(options or {}), (*VARIED, *TILTED)
-    if given.keys() - set(OPTIONS) or ("scenario" in given and given.keys() & set(drawing)):
+    asked, drawing = given(options), (*VARIED, *TILTED)
+    if asked.keys() - set(OPTIONS) or ("scenario" in asked and asked.keys() & set(drawing)):
         raise ConfigError(
             f"reset's options are 'config' and either 'scenario' or {', '.join(map(repr, drawing))}, not {options!r}"
         )
-    return given
+    return asked
 
 
 def varied(task: Task, options: Mapping[str, Any], risk: float) -> Task:

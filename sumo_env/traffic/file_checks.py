@@ -67,7 +67,11 @@ class Contents:
             raise ConfigError(f"SUMO leaves out the vehicle {name!r}: {UNSORTED}")
         if name in known or stem in known:
             return
-        hint = did_you_mean(name, known) or did_you_mean(stem, known) or f"they have {', '.join(known[:20])}"
+        hint = (
+            did_you_mean(name, known)
+            or did_you_mean(stem, known)
+            or f"they have {', '.join(known[:20]) or 'none'}"
+        )
         raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
 
     def check_type(self, name: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 import sumo_env
 from experiments.backends import make_env
 from experiments.support.errors import UserError
-from sumo_env import not_here
+from sumo_env import benchmark_scenarios, not_here
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv
@@ -70,6 +70,7 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", {"normalize_reward": "yes"}, "True or False"),
     ("sumo/highway", {"centering_position": 0.3}, "2 numbers"),
     ("sumo/highway", {"ego_spacing": 1e9}, "not on route"),
+    ("sumo/highway", {"ego_spacing": -1}, "[0, inf]"),
     ("sumo/highway", {"reward_speed_range": [0, 0]}, "two different speeds"),
     ("sumo/highway", {"collision_reward": 0.5}, "cannot be normalised"),
     ("sumo/highway", {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "SUMO drives"),
@@ -81,6 +82,7 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/u-turn", {"vehicles_count": 13}, "at most 12"),
     ("sumo/roundabout", {"incoming_vehicle_destination": 5}, "0, 1 or 2"),
     ("sumo/intersection", {"destination": "o9"}, "'o1', 'o2', 'o3' or None"),
+    ("replica/highway", [("risk", 0)], "must be a dict"),
     ("replica/two-way", {"risk": 1.0}, 'scenarios="seeded"'),
     ("replica/highway", {"drivers": "measured"}, "for sumo"),
     # observations
@@ -92,6 +94,7 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", sees(TABLE, features=object), "list of names"),
     ("sumo/highway", sees(TABLE, order="random"), "shuffled, sorted"),
     ("sumo/highway", sees(TABLE, features_range={"vx": [0, 0]}), "low, high"),
+    ("sumo/highway", sees(TABLE, features_range={"speed": [0, 1]}), "'speed'"),
     ("sumo/highway", sees(TABLE, vehicles_count=10**9), "from 1 to 10000"),
     ("sumo/highway", sees({"type": "KinematicsGoal"}), "not here"),
     ("sumo/highway", sees(LIDAR, cells=0), "'cells'"),
@@ -234,6 +237,25 @@ def overriding(name: str) -> Callable[[], Any]:
     return lambda: type("Mine", (type("Mixin", (), {name: print}), HighwayEnv), {})()
 
 
+def answering(name: str, value: Any) -> Callable[[], Any]:
+    """A subclass whose method returns this."""
+
+    def drive() -> None:
+        env: Any = type("Mine", (HighwayEnv,), {name: lambda self, *_: value})()
+        env.reset(seed=0)
+        env.step(1)
+
+    return drive
+
+
+def closed_batch(id: str) -> Callable[[], Any]:
+    def drive() -> None:
+        (envs := gym.make_vec(id, 1)).close()
+        envs.reset(seed=0)
+
+    return drive
+
+
 def of_sumo(*options: Any, task: Any = "highway") -> Callable[[], Any]:
     return lambda: DrivingEnv(task, sumo_options=list(options)).reset(seed=0)
 
@@ -259,11 +281,25 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: DrivingEnv("highway").step(1), gym.error.ResetNeeded, "reset"),
     (lambda: DrivingEnv("highway").imagine(0), gym.error.ResetNeeded, "reset"),
     (lambda: DrivingEnv("highway").export("/nowhere"), gym.error.ResetNeeded, "reset"),
+    (lambda: DrivingEnv("highway").hand_over(), gym.error.ResetNeeded, "reset"),
+    (lambda: DrivingEnv("highway").reset(options="risk"), ConfigError, "a dict"),  # type: ignore[arg-type]
+    (lambda: DrivingEnv("highway", sumo_options={"--scale": "2"}), ConfigError, "list of strings"),  # type: ignore[arg-type]
+    (lambda: DrivingEnv({"risk": 1.0}), ConfigError, "'highway'"),  # type: ignore[arg-type]
+    (lambda: DrivingEnv("highway").unwrapped.seed(0), AttributeError, "reset(seed"),
+    (lambda: benchmark_scenarios("highway"), ConfigError, "list of names"),
+    *((partial(gym.make_vec, f"{room}/highway-v0", number), ConfigError, "num_envs")
+      for room in ("sumo", "replica") for number in ("2", 2.5)),
+    *((closed_batch(f"{room}/highway-v0"), gym.error.ClosedEnvironmentError, "closed") for room in ("sumo", "replica")),
     (lambda: DrivingEnv("highway", live="netedit"), ConfigError, "'sumo-gui'"),
     (lambda: DrivingEnv("highway", simulator=Replica(), sumo_options=["-v"]), ValueError, "`simulator`"),
     (lambda: DrivingEnv("highway", acts({"type": "MultiAgentAction"})), ConfigError, "sumo_env.parallel_env"),
     (lambda: make_env("replica", "uturn", {}), UserError, "unknown task"),
     (lambda: sumo_env.HighwayEnv, AttributeError, "sumo_env.envs"),
+    (lambda: sumo_env.paralel_env, AttributeError, "'parallel_env'"),
+    # subclasses
+    *((answering(name, None), TypeError, name) for name in ("_reward", "_rewards", "_info", "default_config")),
+    (answering("default_config", {}), ConfigError, "observation"),
+    (answering("__init__", None), AttributeError, "super().__init__()"),
     *((partial(gym.make, id), gym.error.UnregisteredEnv, "docs/from-highway-env.md") for id in not_here.NOT_HERE),
     *((overriding(name), TypeError, "docs/from-highway-env.md#subclasses") for name in not_here.NEVER_CALLED),
     # tasks of a user's own
@@ -271,6 +307,8 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (nowhere, ConfigError, "no lane ('0', '1', 9)"),
     (lambda: DrivingEnv(Highway), ConfigError, "Highway()"),  # type: ignore[arg-type]
     (lambda: sumo_env.register("test/class-v0", Highway), TypeError, "Highway()"),
+    (lambda: sumo_env.register("test/class-v0", ReplicaEnv), TypeError, "gym.register"),
+    (lambda: sumo_env.register("highway", "test/swapped-v0"), ConfigError, "unknown task"),
     (attributes(acell=2.0), ValueError, "'accel'"),
     (attributes(zzz=2.0), ValueError, "see https"),
     (attributes(carFollowModel="W98"), ValueError, "'W99'"),
@@ -294,11 +332,18 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: Replica().step({"ego": EgoCommand(20.0, None)}), RuntimeError, "reset"),
     (closed, RuntimeError, "reset"),
     (partial(batch, vehicles_count=3), TypeError, "'vehicles_count'"),
-    (partial(batch, threads=0), ValueError, "at least 1"),
+    (partial(batch, threads=0), ValueError, "threads"),
+    (lambda: batch().envs, AttributeError, "vectorization_mode"),
+    *((lambda seed=seed: replica().unwrapped.imagine(seed), ConfigError, "whole") for seed in ("a", -1)),  # type: ignore[misc]
     # several learning cars
     (fleet("CartPole-v1"), ConfigError, "not an environment of sumo_env"),
     (fleet("replica/highway-v0", remove_crashed=True), ConfigError, "crashed cars stay"),
     (fleet("replica/highway-v0", live="sumo-gui"), TypeError, "on SUMO"),
+    (fleet("sumo/highway-v0", controlled_vehicles=2), TypeError, "set by config"),
+    (fleet("sumo/highway-v0", vehicles=["a"]), TypeError, "SUMO's files"),
+    *((lambda actions=actions: fleet("sumo/highway-v0")().step(actions), ValueError, "reset()")  # type: ignore[misc]
+      for actions in ({"car_0": 1}, [1])),
+    (lambda: fleet("sumo/highway-v0")().action_space("car_9"), ConfigError, "'car_0'"),
     (fleet("sumo/highway-v0", live="gui"), ConfigError, "'sumo-gui'"),
     (fleet("sumo/highway-v0", output_dir="out"), ConfigError, "output_dir"),
     (fleet("sumo/highway-v0", {"manual_control": True}), ConfigError, "'manual_control'"),

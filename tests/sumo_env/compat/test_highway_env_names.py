@@ -8,7 +8,9 @@ import math
 import pickle
 import warnings
 from contextlib import closing
+from functools import partial
 from importlib import import_module
+from operator import delitem, setitem
 from typing import Any
 
 import gymnasium as gym
@@ -338,8 +340,17 @@ def test_what_is_not_there_says_where_to_look_and_what_is_read_cannot_be_written
         with pytest.raises(AttributeError) as caught:
             getattr(part, last)
         assert word in str(caught.value) and caught.value.obj is None  # so that Python adds no guess
-    with pytest.raises(AttributeError, match="can only be read"):
-        env.vehicle.speed = 30.0
+    vehicles, objects = env.road.vehicles, env.road.objects
+    for write in (
+        partial(setattr, env.vehicle, "speed", 30.0),
+        partial(setattr, env.road, "vehicles", []),
+        *(partial(setattr, env, name, None) for name in ("road", "vehicle", "controlled_vehicles", "time")),
+        *(partial(setitem, some, 0, None) for some in (vehicles, objects)),
+        *(partial(delitem, some, 0) for some in (vehicles, objects)),
+        lambda: objects.append(env.vehicle),
+    ):
+        with pytest.raises(AttributeError, match="can only be read"):
+            write()
     with pytest.raises(ValueError, match="read-only"):
         env.vehicle.position[0] = 0.0
     with pytest.raises(AttributeError, match="own-parts"):

@@ -72,6 +72,11 @@ ROWS: list[tuple[dict[str, Any], type[Exception], str]] = [
     (own(network=CONFIG, routes=[], sumo_options=["--begin=5"]), ConfigError, "begin"),
     (own(ego_type="lorry9"), SimulatorError, "lorry9"),
     (own(ego_route="A0A1"), ConfigError, "list of edges"),
+    (own(ego_route=[1, 2]), ConfigError, "ego_route"),
+    (own(ego_route={"duration": 9}), ConfigError, "list of edges"),
+    (own(routes={"duration": 9}), ConfigError, "route duration"),
+    (own(network=None), ConfigError, "a file"),
+    (ego(ego_vehicle=0), ConfigError, "'0'"),
     (own(ego_route=["A0A9"]), ConfigError, "edge 'A0A9'"),
     (own(ego_route=[["A0A1", "C1C2"]]), ConfigError, "no connection leads from edge 'A0A1'"),
     (own(ego_route=None, ego_trips=["A0A1"]), ConfigError, "pairs of edges"),
@@ -98,6 +103,8 @@ ROWS: list[tuple[dict[str, Any], type[Exception], str]] = [
 ]  # fmt: skip
 FLEETS: list[tuple[dict[str, Any], str]] = [
     ({}, "vehicles=[ids]"),
+    ({"vehicles": "ego"}, "list of names"),
+    ({"vehicles": ["ego", "ego"]}, "different"),
     ({"vehicle_type": "mix", "max_cars": 2, "additional": "mix.add.xml"}, "distribution"),
     ({"vehicle_type": "quikc", "max_cars": 2, "additional": "mix.add.xml"}, "quick"),
 ]

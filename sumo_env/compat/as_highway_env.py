@@ -39,7 +39,7 @@ class_or_instance: Any = _ClassOrInstance  # subclasses may write a method or a 
 AFTER_RESET = ("vehicle", "controlled_vehicles", "road", "scene", "time", "steps")
 
 
-def returned(owner: object, name: str, value: Any, kind: type[T]) -> T:
+def returned(owner: object, name: str, value: Any, kind: Callable[[Any], T]) -> T:
     """What a user's method has returned, as a number (float) or a dict. Raises TypeError if it is none."""
     try:
         return kind(value)

@@ -86,7 +86,7 @@ def seeds_of(envs: VectorEnv, seed: int | Sequence[int | None] | None) -> list[i
     _refuse_closed(envs)
     if seed is None or isinstance(seed, int | np.integer):
         return [None if seed is None else int(seed) + index for index in range(envs.num_envs)]
-    if isinstance(seed, str) or np.ndim(seed) != 1 or len(seed) != envs.num_envs:
+    if isinstance(seed, str) or not hasattr(seed, "__len__") or len(seed) != envs.num_envs:
         raise ValueError(f"an integer or {envs.num_envs} seeds are needed, not {seed!r}")
     return list(seed)
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from sumo_env.config import ConfigError
+from sumo_env.traffic.sumo_files import is_output
 
 # What the environment sets itself, or could not do its work with: everywhere, in tasks that place their vehicles
 # themselves, and where SUMO loads the traffic of its own files.
@@ -82,7 +83,10 @@ def check_options(options: Sequence[str], of_files: bool) -> dict[str, str]:
                 f"SUMO's option {name} has no effect here, where the task places every vehicle, by the seed of "
                 "reset(): it is for SumoDrivingEnv, which drives SUMO's files"
             )
-    return {name.removeprefix("--"): value for name, value in found.items()}
+    named = {name.removeprefix("--"): value for name, value in found.items()}
+    if without := [name for name, value in named.items() if value == "true" and is_output(name)]:
+        raise ConfigError(f"sumo_options: --{without[0]} needs a file")
+    return named
 
 
 def check_copyable(options: Iterable[str]) -> None:

@@ -153,7 +153,7 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     Raises:
         ConfigError: one of them does not exist.
     """
-    several = given if isinstance(given, list | tuple) else [given]
+    several: Sequence[Any] = given if isinstance(given, list | tuple) else [given]
     if not all(isinstance(path, str | Path) for path in several):
         raise ConfigError(f"{name} must be a file or a list of files, not {given!r}")
     found = tuple(Path(os.path.abspath(path)) for path in several)

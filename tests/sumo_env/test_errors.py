@@ -318,6 +318,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (of_sumo("--net-file", "x.net.xml"), ConfigError, "SumoDrivingEnv"),
     *((of_sumo(option), ConfigError, "the environment's own") for option in OWN),
     (of_sumo(3), ConfigError, "list of strings"),
+    (of_sumo("--tripinfo-output"), ConfigError, "needs a file"),
     (of_sumo("--scale=2", task=Twice("v0")), ConfigError, "no effect here"),
     *((of_sumo(option), ConfigError, "no effect here") for option in FOR_FILES),
     (of_sumo("--seed", "7"), ConfigError, "seed of reset()"),

@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
-from experiments.analysis.claims import CONTRADICTED
+from experiments.analysis.claims import CONTRADICTED, NOT_DECIDED
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
@@ -186,14 +186,16 @@ def sides(single: pd.DataFrame) -> dict[str, dict[str, list[str]]]:
 def together(name: str, analysis: Analysis) -> list[dict[str, Any]]:
     """What the plan asks of a control and a treated agent together, over all tasks; empty under another plan.
 
-    Of each of its bounds: the row of the analysis, the tasks in which it is contradicted, in which the pair is slow and
-    which are not there, and the pairs of agents without one of which the verdict would be another.
+    Of each of its bounds: the row of the analysis, the tasks in which it does not hold (by verdict), in which the pair
+    is slow and which are not there, and the pairs of agents without one of which the verdict would be another.
     """
     rows = chosen(analysis.price, backend=name, where="lightest")
     asked = chosen(rows, scope=ALL_TASKS).to_dict("records")
     for row in asked:
         tasks = chosen(rows, term=row["term"], scope=list(TASK_ORDER))
-        row["contradicted"] = list(chosen(tasks, verdict=CONTRADICTED)["scope"])
+        row["otherwise"] = (
+            chosen(tasks, verdict=[CONTRADICTED, NOT_DECIDED]).groupby("verdict")["scope"].agg(list).to_dict()
+        )
         row["slow_on"] = list(chosen(tasks, slow=True)["scope"])
         row["without"] = [task for task in GRID if task not in set(tasks["scope"])]
         without = analysis.influence

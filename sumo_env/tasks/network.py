@@ -143,6 +143,10 @@ class NetworkTask(Task):
         self._limit = self._speed_limit()
         if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
             self.target_speeds = (0.0, round(self._limit / 2, 2), round(self._limit, 2))
+        self._take_defaults(options, drawn)
+
+    def _take_defaults(self, options: Mapping[str, str], drawn: bool) -> None:
+        """Keys whose defaults follow the files; drawn: whether there is traffic beside theirs."""
         # what a Kinematics table has unless it is said; a subclass may see something else
         table = {**NetworkTask.defaults["observation"], "features_range": _ranges(self._limit)}
         seen = self.defaults.get("observation", table)

@@ -31,15 +31,10 @@ $(STAMP): pyproject.toml requirements.lock
 sweep: setup
 	$(BIN)/python experiments/sweep.py $(ARGS)
 
-# Analyses, reports and pages again, from the stored test episodes. All of these are in the repository. ARCHIVE=ADDRESS
-# first unpacks an archive of more folders of results. To train agents again: the commands in the folders' PUBLISHED.md.
-# Frozen folders are left out: results/FROZEN.md.
-FROZEN := $(addprefix results/,standard second first-clock crash-reward pairs replica paper paper-v0 linear choice-3)
-FOLDERS ?= $(filter-out $(FROZEN),$(patsubst %/sweep.json,%,$(wildcard results/*/sweep.json)))
-ARCHIVE ?=
+# The study's analysis, report and pages again, from the stored test episodes. results/study/PUBLISHED.md has the commands
+# that train its agents again, results/FROZEN.md the commits of earlier studies.
 results: setup
-	$(if $(ARCHIVE),curl --fail --silent --show-error --location '$(ARCHIVE)' | tar -xz results)
-	for folder in $(FOLDERS); do $(BIN)/python experiments/report.py $$folder || exit 1; done
+	$(BIN)/python experiments/report.py results/study
 	$(BIN)/python docs/pages.py
 
 # What a change has to pass.

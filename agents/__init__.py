@@ -14,7 +14,7 @@ Knows gymnasium, numpy and torch; knows no simulator and no task by name.
     extra_column   a number beside what an agent observes
     policies       what drives: the interface, models of Stable-Baselines3, objects of a user's file
     plugins        FILE:NAME
-    pretrained     trained agents to load: `agents.load("u-turn-3", "mixed")`
+    pretrained     trained agents to load: `agents.load("u-turn-3", "treatment")`
     streams        named random streams
     rules/         idle, random, faster, slower, idm and careful, by name, and what the last two see
 """

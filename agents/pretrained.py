@@ -1,7 +1,7 @@
 """Agents to use without training: of each arm and setting of the study, in one file.
 
-    policy = agents.load("u-turn-3", "mixed")
-    env = gymnasium.make("sumo_env:sumo/u-turn-v0", config=agents.card("u-turn-3", "mixed")["config"])
+    policy = agents.load("u-turn-3", "treatment")
+    env = gymnasium.make("sumo_env:sumo/u-turn-v0", config=agents.card("u-turn-3", "treatment")["config"])
 
 `python -m experiments.study.replaying.publish` writes the file.
 """
@@ -69,7 +69,7 @@ def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
 
 
 def load(setting: str, arm: str, file: str | Path = FILE, network: Network | None = None) -> Greedy:
-    """The greedy policy of an agent, for example of the setting "u-turn-3" and the arm "mixed".
+    """The greedy policy of an agent, for example of the setting "u-turn-3" and the arm "treatment".
 
     Call its ``reset()`` when an episode begins: some agents observe the time, which they count themselves.
 

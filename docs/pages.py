@@ -8,10 +8,12 @@ committed, because GitHub shows them; ``--check`` compares alone. Numbers of fro
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,8 +25,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from docs.settings import readme_agents, trainings
 from experiments import evaluate
+from experiments.reporting import by_task
 from experiments.reporting.card import ALL
-from experiments.reporting.tables import chosen, plain, points
+from experiments.reporting.tables import TABLES, chosen, effect, interval, kind_of, plain, points
 from experiments.study.design.sheet import GRID
 
 TEMPLATES = ROOT / "docs" / "templates"
@@ -68,20 +71,72 @@ def entries(outcome: str) -> str:
 
     What was driven on another set or another simulator is left out.
     """
-    lines = [["driver", *GRID]]
+    lines = []
     for name, card in evaluate.entries().items():
         cells: dict[str, list[str]] = {task: [] for task in GRID}
         for row in card["rows"]:
             if row["level"] == ALL and card["set"][row["task"]] == evaluate.identity(row["task"]):
                 cells[row["task"]].append(points(row[outcome][0], outcome, signed=False))
-        lines.append([f"`{name}`", *map("/".join, cells.values())])
-    head, *rows = (f"| {' | '.join(line)} |" for line in lines)
-    return "\n".join([head, f"|{'---|' * (len(GRID) + 1)}", *rows])
+        lines.append({"driver": f"`{name}`", **{task: "/".join(own) for task, own in cells.items()}})
+    return _markdown(pd.DataFrame(lines))
+
+
+@functools.cache
+def study() -> Any:
+    """The analysis of the published study, as the report's tables take it."""
+    stored = json.loads((ROOT / "results" / "study" / "analysis.json").read_text())
+    frames = {name: part for name, part in stored.items() if isinstance(part, dict) and "columns" in part}
+    return SimpleNamespace(
+        **stored
+        | {name: pd.DataFrame(part["rows"], columns=part["columns"]) for name, part in frames.items()}
+    )
+
+
+def table(name: str, **wanted: str) -> str:
+    """One of the report's tables, `reporting.tables.TABLES`: the lines that have these values."""
+    return _markdown(chosen(TABLES[name](study(), "sumo"), **wanted).drop(columns=list(wanted)))
+
+
+def row(frame: str, **wanted: Any) -> dict[str, Any]:
+    """The row of a frame of that analysis that has these values."""
+    (found,) = chosen(getattr(study(), frame), backend="sumo", **wanted).to_dict("records")
+    return dict(found)
+
+
+def failing() -> dict[str, Any]:
+    """Where the agents of that study fail the gates, see `reporting.by_task.failing`."""
+    return by_task.failing(study().gates)
+
+
+def arrow(row: dict[str, Any], digits: int | None = None, bold: bool = False) -> str:
+    """From control to treated agents, "38.4→34.2"; bold where the interval of the difference excludes 0.
+
+    Args:
+        digits: by default as many as the outcome deserves.
+        bold: mark what differs.
+    """
+    name, sides = row["outcome"], (row["mean_against"], row["mean_arm"])
+    kind = kind_of(name)
+    control, treated = (
+        points(side, name, signed=False)
+        if digits is None
+        else plain(side * (100 if kind.percent else 1), digits)
+        for side in sides
+    )
+    return f"{control}→**{treated}**" if bold and row["low"] * row["high"] > 0 else f"{control}→{treated}"
+
+
+def _markdown(frame: pd.DataFrame) -> str:
+    cells = [list(frame.columns), ["---"] * len(frame.columns), *frame.fillna("").astype(str).values]
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 
 # -- pages -------------------------------------------------------------------------------------------------------------
 
-FUNCTIONS: list[Callable[..., Any]] = [entries, missed, readme_agents, road_units, trainings, validation]
+FUNCTIONS: list[Callable[..., Any]] = [
+    *(entries, failing, missed, readme_agents, road_units, row, study, table, trainings, validation)
+]
+FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 
 
 def page_of(template: Path) -> Path:
@@ -101,7 +156,7 @@ def filled(template: Path) -> str:
         autoescape=False,
     )
     environment.globals.update({function.__name__: function for function in FUNCTIONS})
-    environment.filters.update(plain=plain)
+    environment.filters.update({function.__name__: function for function in FILTERS})
     text = environment.get_template(str(template.relative_to(TEMPLATES))).render()
     return NOTE.format(template=template.relative_to(ROOT)) + text
 

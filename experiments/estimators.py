@@ -41,7 +41,7 @@ from experiments.support.arguments import command
 from experiments.support.errors import check_known
 from sumo_env.tasks import TASKS
 
-DRIVERS = "control", "treatment", "mixed"
+DRIVERS = "control", "treatment"
 RANDOM = 0.15  # share of random actions in every second scenario
 # Scenarios that it is trained on, each at both doses. On the u-turn a belief is worth most; on the highway an episode
 # takes long.
@@ -65,7 +65,9 @@ def published(task: str, level: int) -> list[Greedy]:
     names = level_names(task)
     there = agents.cards()
     setting = next(
-        name for name in (f"{task}-{names[level - 1]}", f"{task}-{names[0]}") if f"{name}/mixed" in there
+        name
+        for name in (f"{task}-{names[level - 1]}", f"{task}-{names[0]}")
+        if f"{name}/{DRIVERS[-1]}" in there
     )
     return [agents.load(setting, arm) for arm in DRIVERS]
 

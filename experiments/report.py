@@ -67,7 +67,7 @@ def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
         own: outcomes of the user's own to analyse as well, see `own_outcome`.
 
     Raises:
-        UserError: no results there, those of a frozen study, or no permission to write.
+        UserError: no results there, or no permission to write.
     """
     directory = Path(directory)
     results = load(directory)

@@ -1,7 +1,7 @@
 """Film an agent among risky drivers, in a scenario that it survives.
 
     python experiments/watch.py results/mine
-    python experiments/watch.py results/standard --agent u-turn-3-treatment --out film.mp4
+    python experiments/watch.py results/mine --agent u-turn-3-treatment --out film.mp4
 
 Where an agent of the other training is stored beside it, both are filmed in the same risky scenario: control, trained
 in regular traffic, and treatment, trained in risky traffic. An agent alone is filmed at risk 0 and at risk 1. All

@@ -28,7 +28,7 @@ FILES = {
     "model.zip": "no model",
     "outcomes.py": "from experiments.analysis.plan import Outcome\nnothing = Outcome('Nothing', '', 0, 1)\n"
     "crashed = Outcome('Crashed', '', 0, 1, of=len)\n",
-    "frozen/cells.parquet": "",
+    "frozen/analysis.json": "",
 }
 
 

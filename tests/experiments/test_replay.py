@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+import agents
 from experiments.replay import Options, parse_case, replay
 from experiments.study.design.cell import tested_on as environment_of
 from experiments.study.replaying.rerun import Case, differences, play_again
@@ -62,13 +63,11 @@ def test_the_policy_itself_drives_and_its_actions_are_compared(cells, tmp_path, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "agent", ["second/cells/sumo-u-turn-3-treatment-s100", "pairs/cells/sumo-u-turn-3-control-s205"]
-)
-def test_a_published_agent_drives_its_stored_episode_again(agent, tmp_path, capsys):
-    """From results/agents.npz, and from the folder's own file in half precision."""
-    case = f"{ROOT}/results/{agent}:risky:{1001 if 'second' in agent else 2001}"
-    assert replay(Options(case, out=tmp_path / "film.gif", policy=True)) == 0
+def test_a_published_agent_drives_its_stored_episode_again(tmp_path, capsys):
+    """From results/agents.npz, in half precision."""
+    case = f"{ROOT}/results/study/cells/{agents.card('u-turn-3', 'treatment')['cell']}"
+    row = episodes(Path(case)).query("traffic == 'risky'").iloc[0]
+    assert replay(Options(f"{case}:risky:{row['scenario']}", out=tmp_path / "film.gif", policy=True)) == 0
     assert "the agent chose the stored actions" in capsys.readouterr().out
 
 

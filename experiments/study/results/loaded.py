@@ -14,7 +14,6 @@ from typing import Any
 import pandas as pd
 
 from experiments.study.design.cell import setting
-from experiments.study.results import frozen
 from experiments.study.results.parquet import DamagedCell
 from experiments.study.results.schema import COLUMNS, EPISODES, GATES
 from experiments.study.results.store import Store
@@ -83,14 +82,10 @@ def load(directory: Path) -> Results:
     """Read and check all finished cells of a directory; damaged ones are named in `Results.damaged`.
 
     Raises:
-        UserError: no result directory, no finished cell in it that can be read, a damaged part, or a frozen study.
+        UserError: no result directory, no finished cell in it that can be read, or a damaged part.
     """
     store = Store(Path(directory))
     store.check()
-    if (store.directory / frozen.CELLS).exists():
-        raise UserError(
-            f"{directory} is of an earlier version: results/FROZEN.md names the commit of its report"
-        )
     cells: dict[str, dict[str, Any]] = {}
     found: dict[str, dict[str, pd.DataFrame]] = {}
     damaged: dict[str, str] = {}

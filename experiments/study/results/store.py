@@ -7,7 +7,7 @@ DIR/work/CELL/             a cell in progress or given up: lock, log of what wen
 DIR/damaged/               what was put aside because it was damaged
 DIR/sweep.json             what sweeps have asked for
 
-Folders of earlier versions are read as well (`frozen`). `Store` has one cell after the other, `loaded.load` all.
+`Store` has one cell after the other, `loaded.load` all.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pandas as pd
@@ -25,7 +24,7 @@ import pyarrow.compute as pc
 
 from agents.schema import check
 from experiments.study.design.cell import RESULT_SCHEMA, Cell, setting
-from experiments.study.results import frozen, parquet
+from experiments.study.results import parquet
 from experiments.study.results.parquet import DamagedCell, DamagedPart, asked_of
 from experiments.study.results.schema import (
     PURPOSES,
@@ -63,8 +62,11 @@ class Store:
 
     def check(self) -> None:
         """Raise UserError if this is no directory of results."""
-        if not (self.cells.is_dir() or self.parts.is_dir() or (self.directory / frozen.CELLS).exists()):
-            raise UserError(f"{self.directory} holds no results: name the --out directory of a sweep")
+        if not (self.cells.is_dir() or self.parts.is_dir()):
+            raise UserError(
+                f"{self.directory} holds no results: name the --out directory of a sweep. Commits that have the cells"
+                " of earlier studies are in results/FROZEN.md"
+            )
 
     def finished(self) -> list[str]:
         """Names of all finished cells in alphabetical order."""
@@ -79,8 +81,8 @@ class Store:
 
     def _packed(self) -> dict[str, Path]:
         """The part of each packed cell. Raises DamagedPart."""
-        files = [*sorted(self.parts.glob("*.parquet")), *self.directory.glob(frozen.CELLS)]
-        return {name: path for path in files for name in asked_of(path, _reader(path).records, DamagedPart)}
+        files = sorted(self.parts.glob("*.parquet"))
+        return {name: path for path in files for name in asked_of(path, parquet.records, DamagedPart)}
 
     def _find(self, name: str, of: str) -> Any:
         """A cell's part of the "records" or "frames" of the file that it is in. Raises as `record` does."""
@@ -91,7 +93,7 @@ class Store:
                 raise DamagedCell(own, f"its content is that of {', '.join(found)}")
             return found[name]
         part = self._packed()[name]
-        return asked_of(part, getattr(_reader(part), of), DamagedPart)[name]
+        return asked_of(part, getattr(parquet, of), DamagedPart)[name]
 
     def record(self, name: str) -> dict[str, Any]:
         """The record of a finished cell. Raises DamagedCell; DamagedPart; KeyError without one."""
@@ -280,11 +282,6 @@ class Store:
                 for name in names:
                     self._own(name).unlink()
         return [name for name in own if name not in packed]
-
-
-def _reader(path: Path) -> ModuleType:
-    """What reads the records and frames of packed cells: frozen folders have a format of their own."""
-    return frozen if path.name == frozen.CELLS else parquet
 
 
 def part_of(key: Mapping[str, Any]) -> str:

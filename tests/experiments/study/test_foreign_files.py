@@ -14,7 +14,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import pandas as pd
 import pytest
 from PIL import Image
 
@@ -30,7 +29,6 @@ from experiments.study.compute.policies import driver
 from experiments.study.compute.run import locked, log, watched
 from experiments.study.design.cell import learner_of
 from experiments.study.replaying.rerun import Case, play_again
-from experiments.study.results import frozen
 from experiments.study.results.loaded import load
 from experiments.study.results.store import DamagedCell, Store
 from experiments.study.results.working import LOCK, LOG, PROGRESS, fraction_done
@@ -148,14 +146,6 @@ def test_a_film_is_a_picture_and_no_link(tmp_path: Path) -> None:
     (tmp_path / "link.gif").symlink_to(film)
     (tmp_path / "folder.gif").mkdir()
     assert list(films(tmp_path)) == ["film.gif"]
-
-
-@pytest.mark.parametrize("name", ["../evil", "/evil"])
-def test_a_cell_of_an_earlier_version_has_a_name_that_leads_nowhere(name: str, tmp_path: Path) -> None:
-    """Films are called as their cells."""
-    pd.DataFrame({"cell": [name], "record": ["{}"]}).to_parquet(tmp_path / frozen.CELLS)
-    with pytest.raises(UserError, match="leads elsewhere"):
-        Store(tmp_path).finished()
 
 
 # The name of a link in a folder, and what writes there in its place.

@@ -5,6 +5,7 @@ Separate from the environment because the backend highway-env of the experiments
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -87,7 +88,7 @@ def seeds_of(envs: VectorEnv, seed: int | Sequence[int | None] | None) -> list[i
     if seed is None or isinstance(seed, int | np.integer):
         return [None if seed is None else int(seed) + index for index in range(envs.num_envs)]
     if isinstance(seed, str) or not hasattr(seed, "__len__") or len(seed) != envs.num_envs:
-        raise ValueError(f"an integer or {envs.num_envs} seeds are needed, not {seed!r}")
+        raise ValueError(f"an integer or {envs.num_envs} seeds are needed, not {reprlib.repr(seed)}")
     return list(seed)
 
 

@@ -156,7 +156,7 @@ def test_a_reset_is_asked_for_and_checked() -> None:
     envs = gym.make_vec("replica/highway-v0", num_envs=2, autoreset_mode="Disabled", config={"duration": 1})
     with pytest.raises(gym.error.ResetNeeded):
         envs.step([1, 1])
-    with pytest.raises(ValueError, match="length=3"):
+    with pytest.raises(ValueError, match="2 seeds"):
         envs.reset(seed=[1, 2, 3])  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="reset_mask"):
         envs.reset(options={"reset_mask": np.array([True])})

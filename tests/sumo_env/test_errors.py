@@ -285,9 +285,9 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: DrivingEnv("highway").reset(options="risk"), ConfigError, "a dict"),  # type: ignore[arg-type]
     (lambda: DrivingEnv("highway", sumo_options={"--scale": "2"}), ConfigError, "list of strings"),  # type: ignore[arg-type]
     (lambda: DrivingEnv({"risk": 1.0}), ConfigError, "'highway'"),  # type: ignore[arg-type]
-    (lambda: DrivingEnv("highway").unwrapped.seed(0), AttributeError, "reset(seed"),
+    (lambda: DrivingEnv("highway").unwrapped.seed(0), AttributeError, "reset(seed"),  # type: ignore[attr-defined]
     (lambda: benchmark_scenarios("highway"), ConfigError, "list of names"),
-    *((partial(gym.make_vec, f"{room}/highway-v0", number), ConfigError, "num_envs")
+    *((partial(gym.make_vec, f"{room}/highway-v0", number), ConfigError, "num_envs")  # type: ignore[arg-type]
       for room in ("sumo", "replica") for number in ("2", 2.5)),
     *((closed_batch(f"{room}/highway-v0"), gym.error.ClosedEnvironmentError, "closed") for room in ("sumo", "replica")),
     (lambda: DrivingEnv("highway", live="netedit"), ConfigError, "'sumo-gui'"),
@@ -334,17 +334,17 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (closed, RuntimeError, "reset"),
     (partial(batch, vehicles_count=3), TypeError, "'vehicles_count'"),
     (partial(batch, threads=0), ValueError, "threads"),
-    (lambda: batch().envs, AttributeError, "vectorization_mode"),
-    *((lambda seed=seed: replica().unwrapped.imagine(seed), ConfigError, "whole") for seed in ("a", -1)),  # type: ignore[misc]
+    (lambda: batch().envs, AttributeError, "vectorization_mode"),  # type: ignore[attr-defined]
+    *((lambda seed=seed: replica().unwrapped.imagine(seed), ConfigError, "whole") for seed in ("a", -1)),  # type: ignore[attr-defined]
     # several learning cars
     (fleet("CartPole-v1"), ConfigError, "not an environment of sumo_env"),
     (fleet("replica/highway-v0", remove_crashed=True), ConfigError, "crashed cars stay"),
     (fleet("replica/highway-v0", live="sumo-gui"), TypeError, "on SUMO"),
     (fleet("sumo/highway-v0", controlled_vehicles=2), TypeError, "set by config"),
     (fleet("sumo/highway-v0", vehicles=["a"]), TypeError, "SUMO's files"),
-    *((lambda actions=actions: fleet("sumo/highway-v0")().step(actions), ValueError, "reset()")  # type: ignore[misc]
+    *((lambda actions=actions: fleet("sumo/highway-v0")().step(actions), ValueError, "reset()")  # type: ignore[call-arg]
       for actions in ({"car_0": 1}, [1])),
-    (lambda: fleet("sumo/highway-v0")().action_space("car_9"), ConfigError, "'car_0'"),
+    (lambda: fleet("sumo/highway-v0")().action_space("car_9"), ConfigError, "'car_0'"),  # type: ignore[call-arg]
     (fleet("sumo/highway-v0", live="gui"), ConfigError, "'sumo-gui'"),
     (fleet("sumo/highway-v0", output_dir="out"), ConfigError, "output_dir"),
     (fleet("sumo/highway-v0", {"manual_control": True}), ConfigError, "'manual_control'"),

@@ -350,7 +350,7 @@ def test_what_is_not_there_says_where_to_look_and_what_is_read_cannot_be_written
         lambda: objects.append(env.vehicle),
     ):
         with pytest.raises(AttributeError, match="can only be read"):
-            write()
+            write()  # type: ignore[operator]
     with pytest.raises(ValueError, match="read-only"):
         env.vehicle.position[0] = 0.0
     with pytest.raises(AttributeError, match="own-parts"):

@@ -338,7 +338,7 @@ def _plain(value: Any) -> Any:
 
 
 def _check(task: str, config: Config, defaults: Config) -> None:
-    if lacking := TYPES.keys() - config.keys():
+    if lacking := {"duration", *TYPES} - config.keys():
         raise ConfigError(f"the defaults of {task!r} lack {', '.join(sorted(lacking))}: add the base class's")
     for key, default in defaults.items():
         KEYS.get(key, Key()).check(key, default, config[key])

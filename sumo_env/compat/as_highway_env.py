@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.compat.views import RoadView, Vehicle, View, only_read, road_view
-from sumo_env.config import STOCK_FREQUENCY, Config, keys_of, resolve
+from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, keys_of, resolve
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.not_here import NEVER_CALLED, missing, page
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
@@ -127,7 +127,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
                 raise TypeError(f"{owner}.{name} would never be called: {instead} ({where})")
 
     def _defaults(self) -> Config:
-        """What `default_config` returns, which in a subclass may be a class method.
+        """What `default_config` returns, over the task's defaults. In a subclass it may be a class method.
 
         That asks its class for the task by ``super().default_config()``, so it is called on a class that has what this
         environment has.
@@ -136,7 +136,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         if isinstance(defaults.__self__, type):
             known: Any = type(type(self).__name__, (type(self),), vars(self))
             defaults = known.default_config
-        return returned(self, "default_config", defaults(), dict)
+        return {**COMMON, **self.task.defaults, **returned(self, "default_config", defaults(), dict)}
 
     def _resolved(self, config: Mapping[str, Any] | None) -> tuple[Config, bool]:
         """The configuration with these changes, and whether its `simulation_frequency` is one that nobody asked for."""

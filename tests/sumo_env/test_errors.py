@@ -248,6 +248,12 @@ def answering(name: str, value: Any) -> Callable[[], Any]:
     return drive
 
 
+def lacking(key: str) -> DrivingEnv:
+    """A task whose defaults lack a key that every task has."""
+    defaults = {name: value for name, value in Highway.defaults.items() if name != key}
+    return DrivingEnv(type("Mine", (Highway,), {"name": "mine", "defaults": defaults})())
+
+
 def closed_batch(id: str) -> Callable[[], Any]:
     def drive() -> None:
         (envs := gym.make_vec(id, 1)).close()
@@ -298,13 +304,13 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: sumo_env.paralel_env, AttributeError, "'parallel_env'"),
     # subclasses
     *((answering(name, None), TypeError, name) for name in ("_reward", "_rewards", "_info", "default_config")),
-    (answering("default_config", {}), ConfigError, "observation"),
     (answering("__init__", None), AttributeError, "super().__init__()"),
     *((partial(gym.make, id), gym.error.UnregisteredEnv, "docs/from-highway-env.md") for id in not_here.NOT_HERE),
     *((overriding(name), TypeError, "docs/from-highway-env.md#subclasses") for name in not_here.NEVER_CALLED),
     # tasks of a user's own
     (lambda: DrivingEnv(Twice("v0")).reset(seed=0), ConfigError, "are called 'v0'"),
     (nowhere, ConfigError, "no lane ('0', '1', 9)"),
+    *((partial(lacking, key), ConfigError, key) for key in ("action", "duration", "observation")),
     (lambda: DrivingEnv(Highway), ConfigError, "Highway()"),  # type: ignore[arg-type]
     (lambda: sumo_env.register("test/class-v0", Highway), TypeError, "Highway()"),
     (lambda: sumo_env.register("test/class-v0", ReplicaEnv), TypeError, "gym.register"),

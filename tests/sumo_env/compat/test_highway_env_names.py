@@ -192,11 +192,17 @@ def test_default_config_is_a_class_method_or_a_method() -> None:
     assert ByTheInstance().config["duration"] == 7
 
 
+def test_keys_that_default_config_leaves_out_are_the_tasks() -> None:
+    for task, own in dict(zip(OF_HIGHWAY_ENV, CLASSES, strict=True)).items():
+        mine = type("Mine", (own,), {"default_config": lambda _: {"duration": 7}})()
+        assert mine.config == {**DrivingEnv(task).config, "duration": 7}
+
+
 @pytest.mark.filterwarnings("error")
-def test_an_id_that_is_not_here_may_be_registered() -> None:
+def test_an_id_that_is_not_here_may_be_registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(gym.registry, "sumo/parking-v0", gym.registry["sumo/parking-v0"])
     sumo_env.register("sumo/parking-v0", "u-turn")
     gym.make("sumo/parking-v0")
-    del gym.registry["sumo/parking-v0"]
 
 
 # -- what is read --------------------------------------------------------------------------------------------

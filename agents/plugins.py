@@ -17,7 +17,8 @@ def split(name: str) -> tuple[Path, str]:
     """File and name in it. Raises ValueError when it has another form or there is no such file."""
     file, colon, attribute = name.rpartition(":")
     if not (colon and file and attribute.isidentifier()):
-        raise ValueError(f"Expected FILE:NAME, for example my_file.py:MyNetwork, got {name!r}.")
+        example = f"my_file.py:{name}" if name.isidentifier() else "my_file.py:MyNetwork"
+        raise ValueError(f"Expected FILE:NAME, for example {example}, got {name!r}.")
     path = Path(file)
     if not path.is_file():
         raise ValueError(f"There is no file {file} (from {name!r}).")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError, names_of, warn_once
 from sumo_env.networks import files
@@ -144,6 +144,12 @@ class NetworkTask(Task):
         if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
             self.target_speeds = (0.0, round(self._limit / 2, 2), round(self._limit, 2))
         self._take_defaults(options, drawn)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            hint = "" if "_limit" in vars(self) else ": its __init__ has to call super().__init__()"
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{hint}", name=name)
 
     def _take_defaults(self, options: Mapping[str, str], drawn: bool) -> None:
         """Keys whose defaults follow the files; drawn: whether there is traffic beside theirs."""

@@ -20,6 +20,7 @@ from agents.greedy import Greedy
 from agents.learner import settings_of
 from agents.learners import LEARNERS, learner
 from agents.models import EgoAttention, network_class
+from agents.plugins import load_object
 from agents.policies import foreign_policy
 from agents.rules import make_policy
 from tests.agents.test_belief import Fixed
@@ -65,6 +66,7 @@ CALLS: list[tuple[Callable[[], Any], str]] = [
     (lambda: learner("mine.py:Mine"), "no Settings"),
     (lambda: train(gym.make("Pendulum-v1"), DQNConfig(), 0), "Box observations and Discrete actions"),
     (lambda: train(ENV, DQNConfig(network="none"), 0), "unknown network"),
+    (lambda: load_object("slow"), "my_file.py:slow"),
     (lambda: network_class("transformer"), "known are attention, dueling, FILE:NAME"),
     (lambda: network_class("mine.py:Other"), "defines no Other"),
     (lambda: network_class("none.py:Mine"), "no file"),

@@ -24,6 +24,7 @@ from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.user_options import check_copyable
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
+from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import VehicleSpec
 from tests.sumo_env.scenarios import drivers
 
@@ -311,6 +312,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: DrivingEnv(Twice("v0")).reset(seed=0), ConfigError, "are called 'v0'"),
     (nowhere, ConfigError, "no lane ('0', '1', 9)"),
     *((partial(lacking, key), ConfigError, key) for key in ("action", "duration", "observation")),
+    (lambda: DrivingEnv(type("Mine", (NetworkTask,), {"__init__": lambda self: None})()), AttributeError, "super()"),
     (lambda: DrivingEnv(Highway), ConfigError, "Highway()"),  # type: ignore[arg-type]
     (lambda: sumo_env.register("test/class-v0", Highway), TypeError, "Highway()"),
     (lambda: sumo_env.register("test/class-v0", ReplicaEnv), TypeError, "gym.register"),

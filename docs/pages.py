@@ -25,6 +25,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from docs.settings import readme_agents, trainings
 from experiments import evaluate
+from experiments.analysis.gates import CROSSINGS
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL
 from experiments.reporting.tables import TABLES, chosen, effect, interval, kind_of, plain, points
@@ -108,6 +109,23 @@ def failing() -> dict[str, Any]:
     return by_task.failing(study().gates)
 
 
+SHARES: dict[str, Callable[[pd.DataFrame], pd.Series]] = {
+    "enters": lambda rows: rows["distance"] >= CROSSINGS["roundabout"],
+    "overtakes at once": lambda rows: (
+        rows["actions"].str[:2].str.contains("0")
+    ),  # LANE_LEFT, in a step of 1 s each
+    "hits an oncoming car": lambda rows: rows["crash_type"] == "frontal",
+}
+
+
+def share(what: str, setting: str, arm: str) -> float:
+    """In how many of the regular test episodes of an arm's agents that happens [%]."""
+    (file,) = (ROOT / "results" / "study" / "parts").glob(f"sumo-{setting}-{arm}-*.parquet")
+    rows = chosen(pd.read_parquet(file), purpose="test", traffic="regular")
+    own = rows[~rows["cell"].str.contains("-on-replica-|-unseen-")]
+    return float(100 * SHARES[what](own).mean())
+
+
 def arrow(row: dict[str, Any], digits: int | None = None, bold: bool = False) -> str:
     """From control to treated agents, "38.4→34.2"; bold where the interval of the difference excludes 0.
 
@@ -134,7 +152,7 @@ def _markdown(frame: pd.DataFrame) -> str:
 # -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(entries, failing, missed, readme_agents, road_units, row, study, table, trainings, validation)
+    *(entries, failing, missed, readme_agents, road_units, row, share, study, table, trainings, validation)
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 

@@ -5,8 +5,8 @@
 
 Drives the published agents of both arms in the lightest setting of each task, as `rare.py` drives one: all training
 seeds, each in scenarios of its own. Rates are in units of the events at dose 1. Writes break-even.csv (both curves and
-their difference, with 95 % intervals over agents and episodes), break-even.json and break-even.svg; the curve of each
-agent lies beside them. The report of the folder around the results shows the figure. The same command run again goes on
+their difference, with 95 % intervals over agents and episodes), agents.csv (the curve of each agent), break-even.json
+and break-even.svg. The report of the folder around the results shows the figure. The same command run again goes on
 where it was stopped. docs/rare.md says what the columns mean.
 """
 
@@ -85,15 +85,18 @@ def curve(options: Options, task: str, agent: str, number: int) -> pd.DataFrame:
 def run(options: Options, arguments: Sequence[str]) -> int:
     """Do what the options ask for; returns the exit status."""
     asked = published(options.tasks or list(GRID))
-    rare.rates_of(options.rates)
+    rates = rare.rates_of(options.rates)
     tables: dict[str, pd.DataFrame] = {}
     answers: dict[str, BreakEven] = {}
+    agents: dict[str, pd.DataFrame] = {}
     with writing(options.out):
         for task, arms in asked.items():
             curves = {
-                arm: [curve(options, task, agent, number) for number, agent in enumerate(agents)]
-                for arm, agents in arms.items()
+                arm: [curve(options, task, agent, number) for number, agent in enumerate(own)]
+                for arm, own in arms.items()
             }
+            for arm, own in arms.items():
+                agents |= dict(zip(own, curves[arm], strict=True))
             both = compared(curves)
             answers[task] = break_even(both)
             way = compared(curves, "100_km").add_suffix("_per_100_km")
@@ -113,7 +116,9 @@ def run(options: Options, arguments: Sequence[str]) -> int:
             task: float(table["events_per_hour"].iloc[0] / table["rate"].iloc[0])
             for task, table in tables.items()
         }
-        words = {task: break_even_words(answer, hours[task]) for task, answer in answers.items()}
+        words = {task: break_even_words(answer, hours[task], rates) for task, answer in answers.items()}
+        each = pd.concat(agents, names=["agent"]).reset_index(level=0)
+        write_file(options.out / "agents.csv", each.to_csv(index=False, float_format="%.6g").encode())
         write_file(options.out / f"{BREAK_EVEN}.csv", whole.to_csv(index=False, float_format="%.6g").encode())
         write_file(options.out / f"{BREAK_EVEN}.svg", break_even_figure(whole).encode())
         write_json(
@@ -132,7 +137,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
         )
     for task, said in words.items():
         print(f"{task}: {said}")
-    print(f"written: {options.out / BREAK_EVEN}.csv, .json and .svg")
+    print(f"written: {options.out / BREAK_EVEN}.csv, .json and .svg, and agents.csv")
     return 0
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pandas as pd
 from matplotlib.lines import Line2D
 
@@ -68,8 +70,8 @@ ROADS = {
 }
 
 
-def break_even_words(found: BreakEven, hours: float) -> str:
-    """Where risky training pays, as a sentence. hours: events per vehicle and hour at the rate 1."""
+def break_even_words(found: BreakEven, hours: float, rates: Sequence[float]) -> str:
+    """Where risky training pays, as a sentence. hours: events per vehicle-hour at the rate 1; rates: asked about."""
 
     def at(rate: float) -> str:
         return f"{float(f'{hours * rate:.2g}'):,g}"
@@ -88,9 +90,11 @@ def break_even_words(found: BreakEven, hours: float) -> str:
     parts = [f"in {word} episodes {span(ends)} {unit}" for ends, word in sides if ends[0] == ends[0]]
     if not parts:
         return "nothing is decided at any rate"
-    return (
-        f"treated agents crash {' and '.join(parts)}; nothing is decided elsewhere, and no rate breaks even"
+    is_all = (rates[0], rates[-1]) in (found.less, found.more)
+    rest = (
+        ", all that were asked about" if is_all else "; nothing is decided elsewhere, and no rate breaks even"
     )
+    return f"treated agents crash {' and '.join(parts)}{rest}"
 
 
 @styled

@@ -29,19 +29,23 @@ def test_the_curves_cross_where_they_are_known_to() -> None:
     found = break_even(compared({"control": arm(0.01, 0.5), "treatment": arm(0.02, 0.1)}))
     assert found.low <= 0.025 <= found.high and found.low < found.rate < found.high
     assert found.less == (0.1, 1.0) and found.more[0] == 1e-3
-    assert break_even_words(found, 1000.0).startswith("treated agents crash in fewer episodes above")
+    assert break_even_words(found, 1000.0, RATES).startswith("treated agents crash in fewer episodes above")
     swapped = break_even(compared({"control": arm(0.02, 0.1), "treatment": arm(0.01, 0.5)}))
     assert swapped.rate == pytest.approx(found.rate) and swapped.less == found.more
-    assert "in more episodes above" in break_even_words(swapped, 1000.0)
+    assert "in more episodes above" in break_even_words(swapped, 1000.0, RATES)
 
 
 def test_what_is_not_decided_is_not_said() -> None:
     below = break_even(compared({"control": arm(0.01, 0.5, 0.1), "treatment": arm(0.01, 0.1, 0.1)}))
     assert np.isnan(below.rate) and np.isnan(below.more[0]) and below.less == (0.01, 1.0)
-    words = break_even_words(below, 1000.0)
+    words = break_even_words(below, 1000.0, RATES)
     assert "from 10 to 1,000 events" in words and "more" not in words and "no rate breaks even" in words
+    always = break_even(compared({"control": arm(0.02, 0.5), "treatment": arm(0.01, 0.1)}))
+    assert break_even_words(always, 1000.0, RATES).endswith(
+        "from 1 to 1,000 events per vehicle-hour, all that were asked about"
+    )
     same = compared({"control": arm(0.01, 0.5, 0.1), "treatment": arm(0.01, 0.5, 0.1)})
-    assert break_even_words(break_even(same), 1.0) == "nothing is decided at any rate"
+    assert break_even_words(break_even(same), 1.0, RATES) == "nothing is decided at any rate"
 
 
 def test_agents_that_never_crashed_have_the_limit_of_their_episodes() -> None:

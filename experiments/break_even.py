@@ -127,10 +127,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
                 "command": shlex.join(["python", "experiments/break_even.py", *arguments]),
                 "agents": asked,
                 "events_per_hour_at_rate_1": hours,
-                "break_even": {
-                    task: plain_json({"rate": answer.rate, "low": answer.low, "high": answer.high})
-                    for task, answer in answers.items()
-                },
+                "break_even": {task: plain_json(answer._asdict()) for task, answer in answers.items()},
                 "words": words,
                 "provenance": provenance(),
             },

@@ -10,6 +10,9 @@ from sumo_env.config import ConfigError
 from sumo_env.env.driving import DrivingEnv
 from sumo_env.tasks.network import NetworkTask
 
+# route files, or routes
+Routes = str | Path | Sequence[str | Path] | Mapping[str, Sequence[str]] | Sequence[Sequence[str]]
+
 
 class SumoDrivingEnv(DrivingEnv):
     """One learning car in any SUMO scenario, with the observations, actions, risk and crashes of the tasks.
@@ -37,11 +40,7 @@ class SumoDrivingEnv(DrivingEnv):
     def __init__(
         self,
         network: str | Path,
-        routes: str
-        | Path
-        | Sequence[str | Path]
-        | Mapping[str, Sequence[str]]
-        | Sequence[Sequence[str]] = (),
+        routes: Routes = (),
         ego_route: Sequence[str] | Sequence[Sequence[str]] = (),
         config: Mapping[str, Any] | None = None,
         *,

@@ -176,7 +176,7 @@ class ReplicaVectorEnv(VectorEnv):
         _, before = self._ahead.pop(row, (None, None))
         if generator is not None and before is not None:
             generator.bit_generator.state = before
-        single._np_random = generator
+        single.np_random = generator
         single.reset(seed=seed, options=options)
         self._generators[row] = single.np_random
         spaces = single.observation_space, single.action_space
@@ -208,7 +208,7 @@ class ReplicaVectorEnv(VectorEnv):
                 self._ahead[row] = self._draw(row), before
 
     def _draw(self, row: int) -> Start:
-        self._single._np_random = self._generators[row]
+        self._single.np_random = self._generators[row]
         return self._single.begin()
 
     def _made_params(self) -> EnvParams:

@@ -40,6 +40,7 @@ from sumo_env.contacts.rectangles import State, separation, state_of, states
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.replica.linear import LAWS, LinearDriver, draw, linear_drivers
 from sumo_env.scene import OBSTACLE_SIZE, Scene
+from sumo_env.simulator import EgoStep
 from sumo_env.spaces.info import information
 from sumo_env.spaces.interface import interface
 from sumo_env.sumo import export
@@ -148,9 +149,10 @@ class ScenarioEnv(AbstractEnv):
         before, last = self._motion if self.steps else (speed, 0.0)
         acceleration = (speed - before) * frequency
         self._motion = speed, acceleration
-        met = self.scene, self.crash, self.min_ttc, self.distance
+        met = EgoStep(self.vehicle.lane_index, self.crash, self.min_ttc, self.distance)
         return {"acceleration": acceleration, "jerk": (acceleration - last) * frequency} | information(
-            *met,
+            self.scene,
+            met,
             arrived=self._arrived(),
             on_road=self.vehicle.on_road,
             rewards=self._rewards(action),

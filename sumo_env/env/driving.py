@@ -377,12 +377,10 @@ class DrivingEnv(OnScreen, OwnSumo):
 
     def _info(self, obs: Observation, action: Any = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
-        state, step, place = self.ego_state, self._last, self.scene.place
+        state, met, place = self.ego_state, self._last, self.scene.place
         info = information(
             self.scene,
-            step.crash,
-            step.min_ttc,
-            step.distance,
+            met,
             arrived=self.task.arrived(state),
             on_road=state.on_road,
             rewards=returned(self, "_rewards", self._rewards(action), dict),

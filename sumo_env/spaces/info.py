@@ -8,9 +8,9 @@ from typing import Any
 
 import gymnasium as gym
 
-from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.scene import Place, Scene
+from sumo_env.simulator import EgoStep
 from sumo_env.tasks.base import EgoState
 
 
@@ -22,9 +22,7 @@ def paid_late() -> float:
 
 def information(
     scene: Scene,
-    crash: CrashRecord | None,
-    min_ttc: float,
-    distance: float,
+    met: EgoStep,
     *,
     arrived: bool,
     on_road: bool,
@@ -35,8 +33,7 @@ def information(
     """The ``info`` of a step, or of a reset with the action type's `no_action`; see `DrivingEnv.step`.
 
     The same keys with values of the same types always, none of them None or NaN, so that libraries can store and merge
-    it: without a crash its record is empty, because gymnasium cannot merge None and a record. `min_ttc` is the least
-    time to collision before a contact [s].
+    it: without a crash its record is empty, because gymnasium cannot merge None and a record.
     """
     crashed = bool(scene.crashed[0])
     info = {
@@ -47,13 +44,13 @@ def information(
         "action": action,
         "rewards": {name: float(value) for name, value in rewards.items()},
         "cost": float(crashed),
-        "crash": {} if crash is None else asdict(crash),
+        "crash": {} if met.crash is None else asdict(met.crash),
         "ending": ending,
         "density": density(scene.x, scene.y),
-        "min_ttc": 0.0 if crashed else float(min_ttc),
-        "min_ttc_before_contact": float(min_ttc),
-        "near_miss": bool(min_ttc < NEAR_MISS_TTC) and not crashed,
-        "distance": float(distance),
+        "min_ttc": 0.0 if crashed else float(met.min_ttc),
+        "min_ttc_before_contact": float(met.min_ttc),
+        "near_miss": bool(met.min_ttc < NEAR_MISS_TTC) and not crashed,
+        "distance": float(met.distance),
         "traffic_light": int(scene.light.state),
         "traffic_light_distance": float(scene.light.distance),
     }

@@ -12,8 +12,8 @@ import gymnasium as gym
 import numpy as np
 
 from sumo_env.config import ConfigError, one_of
-from sumo_env.env import DrivingEnv
-from sumo_env.env.cars import REPLICA, Cars, Seen, asked
+from sumo_env.env.cars import REPLICA, Cars, asked
+from sumo_env.env.driving import DrivingEnv, Seen
 from sumo_env.networks import files
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task

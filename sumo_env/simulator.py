@@ -65,13 +65,6 @@ Command = EgoCommand | SteeringCommand
 Commands = Mapping[str, Command | None]
 
 
-class Driven(list[Commands]):
-    """The commands of an episode, step by step. Copies of an episode share them, for nobody changes a command."""
-
-    def __deepcopy__(self, memo: dict[int, object]) -> Driven:
-        return Driven(self)
-
-
 class EgoStep(NamedTuple):
     """What one learning car has met in a policy step.
 

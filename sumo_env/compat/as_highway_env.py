@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import update_wrapper
+from operator import attrgetter
 from types import MethodType
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -13,13 +14,12 @@ from numpy.typing import NDArray
 
 from sumo_env.compat.views import RoadView, Vehicle, View, only_read, road_view
 from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, keys_of, resolve
-from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.not_here import NEVER_CALLED, missing, page
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
 from sumo_env.spaces.actions import ActionType as Kind
 from sumo_env.spaces.actions import Situation
 from sumo_env.tasks.base import EgoState, Task
-from sumo_env.traffic.scenario import Scenario, VehicleSpec
+from sumo_env.traffic.scenario import Scenario
 
 T = TypeVar("T")
 
@@ -36,7 +36,7 @@ class _ClassOrInstance:
 
 
 class_or_instance: Any = _ClassOrInstance  # subclasses may write a method or a class method
-AFTER_RESET = ("vehicle", "controlled_vehicles", "road", "scene", "time", "steps")
+AFTER_RESET = ("vehicle", "controlled_vehicles", "road", "scene", "time", "steps", "ego_state", "ego_id")
 
 
 def returned(owner: object, name: str, value: Any, kind: Callable[[Any], T]) -> T:
@@ -81,37 +81,35 @@ class Observed(View):
     observe: Callable[[], NDArray[np.float32]]  # the present observation
 
 
+def _of_car(name: str) -> Any:
+    """An attribute of the ego's episode, as one of its environment."""
+    return property(attrgetter(f"_car.{name}"), lambda env, value: setattr(env._car, name, value))
+
+
 class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     """The part of `DrivingEnv` that scripts and subclasses written for highway-env meet."""
 
     default_config: Any
     PERCEPTION_DISTANCE = PERCEPTION_DISTANCE  # [m]
     task: Task
-    scenario: Scenario | None
     _is_raised = False  # whether the frequency of the simulation only follows that of the policy
-    scene: Scene
-    steps: int
     config: dict[str, Any]
-    ego_state: EgoState
     actions: dict[int, str]
     target_speeds: tuple[float, ...]
     _action_type: Kind
     _observation_type: Any
     _own_observation: Any = None  # a subclass's
-    _before_ego = 0  # see `Situation`
-    _road: Road
-    _spec_of: dict[str, VehicleSpec]
-    _row_order: np.random.Generator
-    _route: tuple[str, ...]
-    _target_lane: LaneIndex
-    _speed_index: int
+    _car: Any  # a `CarEpisode`, from the first reset on
+    scene: Scene = _of_car("scene")  # the present one, as the ego sees it
+    ego_state: EgoState = _of_car("ego_state")
+    steps: int = _of_car("steps")  # policy steps of this episode
     _view: RoadView | None = None
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> NoReturn:
             owner = type(self).__name__
-            if "_given" not in vars(self):
+            if "_access" not in vars(self):
                 what = f"{owner!r} has no attribute {name!r}: its __init__ has to call super().__init__()"
                 raise AttributeError(what, name=name)
             if name in AFTER_RESET:
@@ -150,12 +148,13 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     def _observe(self) -> NDArray[np.float32]:
         if self._own_observation is not None:
             return self._own_observation.observe()
-        seen: NDArray[np.float32] = self._observation_type.observe(self._situation())
+        seen: NDArray[np.float32] = self._observation_type.observe(self._car.situation(self.target_speeds))
         return seen
 
-    def _situation(self) -> Situation:
-        seen = self.scene, self._road, self.ego_state, self._spec_of, self._row_order
-        return Situation(*seen, self.target_speeds, self._route, self._before_ego, self.steps == 0)
+    @property
+    def scenario(self) -> Scenario | None:
+        """The present episode's, in which this car is the ego; None before the first reset."""
+        return self._car.scenario if "_car" in vars(self) else None
 
     @_only_read
     def time(self) -> float:
@@ -183,19 +182,17 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     @_only_read
     def road(self) -> RoadView:
         """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
-        if self._view is None or self._view.scene is not self.scene:
+        now: Situation = self._car.situation(self.target_speeds)
+        if self._view is None or self._view.scene is not now.scene:
             targets = {
-                "target_lane_index": self._target_lane,
-                "speed_index": self._speed_index,
-                "target_speed": self.target_speeds[self._speed_index],
+                "target_lane_index": now.ego.target_lane,
+                "speed_index": now.ego.speed_index,
+                "target_speed": self.target_speeds[now.ego.speed_index],
                 "target_speeds": np.array(self.target_speeds),
             }
-            assert self.scenario is not None  # as there is a target lane
             self._view = road_view(
-                self.scene,
-                self._road,
-                self._spec_of,
-                self.scenario.further,
+                now,
+                self._car.episode.scenario.further,
                 self._action_type,
                 bool(self.config.get("neighbour_vehicles_connected_lanes")),
                 **(targets if self.actions else {}),
@@ -222,18 +219,18 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     def get_available_actions(self) -> list[int]:
         """Indices of IDLE, and of the actions that would change something now, in highway-env's order."""
-        x, y, lane, road = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane, self._road
+        x, y, ego, road = self.scene.x.item(0), self.scene.y.item(0), self.ego_state, self._car.road
         beside = {
             side
             for side in (-1, 1)
-            if (other := road.beside(lane, side)) and road.lane(other).is_reachable_from(x, y)
+            if (other := road.beside(ego.lane, side)) and road.lane(other).is_reachable_from(x, y)
         }
         possible = {
             "IDLE": True,
             "LANE_LEFT": -1 in beside,
             "LANE_RIGHT": 1 in beside,
-            "FASTER": self._speed_index < len(self.target_speeds) - 1,
-            "SLOWER": self._speed_index > 0,
+            "FASTER": ego.speed_index < ego.speed_count - 1,
+            "SLOWER": ego.speed_index > 0,
         }
         if (place := self.scene.place) is not None:
             possible |= {"LANE_LEFT": place.left, "LANE_RIGHT": place.right}

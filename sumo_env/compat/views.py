@@ -22,6 +22,7 @@ from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.not_here import missing, page
 from sumo_env.scene import Floats, Scene, is_obstacle
 from sumo_env.spaces.actions import ActionType as Kind
+from sumo_env.spaces.actions import Situation
 from sumo_env.spaces.observation import FEATURES, destination_direction
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -347,15 +348,10 @@ class RoadView(View):
 
 
 def road_view(
-    scene: Scene,
-    road: Road,
-    specs: Mapping[str, VehicleSpec],
-    further: Container[str],
-    actions: Kind,
-    connected: bool,
-    **ego: Any,
+    now: Situation, further: Container[str], actions: Kind, connected: bool, **ego: Any
 ) -> RoadView:
     """A scene as highway-env's road; `further`: ids of learning cars beside the ego, `ego`: its attributes alone."""
+    scene, road, specs = now.scene, now.road, now.specs
     learning = "dynamical ego" if getattr(actions, "dynamical", False) else f"{type(actions).__name__} ego"
     positions = np.column_stack((scene.x, scene.y))
     positions.flags.writeable = False

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pkgutil import resolve_name
@@ -17,17 +16,13 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from sumo_env.config import MOST_VEHICLES, Config, ConfigError, keys_of, whole_number
-from sumo_env.env.driving import DrivingEnv
-from sumo_env.scene import Scene
+from sumo_env.env.driving import DrivingEnv, Result, Seen
 from sumo_env.simulator import Commands
 from sumo_env.spaces.info import paid_late
 from sumo_env.tasks import reset_options
 from sumo_env.tasks.base import Task
-from sumo_env.traffic.scenario import Scenario
 
 Make = Callable[[Config, str | None], DrivingEnv]  # of a configuration and a render mode
-Seen = tuple[Any, dict[str, Any]]  # what `DrivingEnv.reset` returns
-Result = tuple[Any, float, bool, bool, dict[str, Any]]  # what `DrivingEnv.step` returns
 REPLICA = "sumo_env.replica.env:ReplicaEnv"
 SHARED = {"action": "MultiAgentAction", "observation": "MultiAgentObservation"}  # highway-env's types
 
@@ -66,7 +61,6 @@ class Cars:
     Attributes:
         envs: of the cars; the first one holds the simulator and draws the traffic. All share one random generator.
         numbers: of the cars that have come in this episode, by their ids in the scene.
-        steps: policy steps of this episode.
     """
 
     def __init__(
@@ -78,31 +72,21 @@ class Cars:
         self.envs = [make(given.config, None if number else render_mode) for number in range(given.cars)]
         self.first, self._removes_crashed = self.envs[0], removes_crashed
         self.first.cars = given.cars
-        for env in self.envs[1:]:
-            env._leader = self.first
         self.numbers: dict[str, int] = {}
-        self.steps = 0
-        self._scenario: Scenario
-        self._scene: Scene  # all cars
-        self._known: tuple[str, ...] = ()  # ids of the cars in the order of their numbers; empty by type
 
-    def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> dict[int, Seen]:
+    def reset(self, seed: int | None, options: dict[str, Any] | None) -> dict[int, Seen]:
         """Start an episode; returns what the cars see that are there, by their numbers."""
-        given = dict(options or {})
-        if config := given.pop("config", None):
-            for env in self.envs:
-                env.configure(config)
-        self._scenario, scene = scenario, _ = self.first._start(seed, given)
+        self._episode = self.first.start_episode(seed, options)
         for env in self.envs[1:]:
-            if env.config != self.first.config:  # written to
+            if env.config != self.first.config:
                 env.configure(self.first.config)
-            env._simulator, env._drawn_by = self.first._simulator, self.first._drawn_by
-            env._commands = self.first._commands
+            env.np_random = self.first.np_random
+            env.join_episode(self._episode)
+        scenario = self._episode.scenario
         by_type = scenario.traffic is not None and scenario.traffic.car_type
-        self._known = () if by_type else (scenario.ego.id, *scenario.further)
-        self.numbers, self.steps = {}, 0
-        self._scene = self.first.scene = scene
-        return self._newcomers(scene)
+        self._known = () if by_type else (scenario.ego.id, *scenario.further)  # ids, by number
+        self.numbers = {}
+        return self._newcomers()
 
     def step(self, actions: Mapping[int, Any]) -> tuple[dict[int, Result], dict[int, Seen]]:
         """Drive one policy step by the actions of cars, by their numbers.
@@ -110,53 +94,35 @@ class Cars:
         Returns:
             the results of these cars, and what cars see that have come.
         """
-        if self.first.scenario is None or self.first._simulator is None:
-            raise gym.error.ResetNeeded("call reset() before step()")
+        self.first.ensure_reset()
         ids = {number: name for name, number in self.numbers.items()}
-        commands = {number: self.envs[number]._command(action) for number, action in actions.items()}
+        commands = {number: self.envs[number].command_for(action) for number, action in actions.items()}
         by_id: Commands = {ids[number]: command for number, command in commands.items()}
-        self.first.scene = self._scene
-        present = self._scene.ids[: self._scene.cars]
-        left = [name for name in present if name not in by_id] if self._removes_crashed else []
+        scene = self._episode.scene
+        left = [name for name in scene.ids[: scene.cars] if name not in by_id and self._removes_crashed]
         crashed = [name for name in left if self.envs[self.numbers[name]].ego_state.crashed]
-        step = self.first._drive({**by_id, **dict.fromkeys(crashed)})
-        self.steps, self._scene = self.steps + 1, step.scene
-        results = {}
-        for number, command in commands.items():
-            name, env = ids[number], self.envs[number]
-            self._let_see(env, name)
-            env._is_closed = self.first._is_closed
-            results[number] = env._after(actions[number], command, step.scene.seen_by(name), step.egos[name])
+        step = self.first.drive_cars({**by_id, **dict.fromkeys(crashed)})
+        results = {
+            number: self.envs[number].result_of(actions[number], command, step)
+            for number, command in commands.items()
+        }
         if 0 not in actions:
             self.first.scene = step.scene
-        come = self._newcomers(step.scene)
-        self.first._follow_up()
+        come = self._newcomers()
+        self.first.draw_arrival()
         return results, come
 
-    def _newcomers(self, scene: Scene) -> dict[int, Seen]:
-        """Begin the episode of cars that have come; what they see."""
-        seen, first, scenario = {}, self.first, self._scenario
+    def _newcomers(self) -> dict[int, Seen]:
+        """Let cars in that have come; what they see."""
+        seen, scene, scenario = {}, self._episode.scene, self._episode.scenario
         for name in scene.ids[: scene.cars]:
             if name in self.numbers:
                 continue
             number = self._known.index(name) if self._known else len(self.numbers)
             self.numbers[name] = number
-            env = self.envs[number]
-            if env is not first:
-                env.np_random = first.np_random
-            self._let_see(env, name)
             spec = next((spec for spec in scenario.cars if spec.id == name), scenario.ego._replace(id=name))
-            seen[number] = env._begin(replace(scenario, ego=spec), scene.seen_by(name))
-            if scenario.traffic is None:
-                env._spec_of = first._spec_of  # to which arrivals are added
-            env.steps = self.steps
+            seen[number] = self.envs[number].enter_episode(spec, scene.seen_by(name))
         return seen
-
-    def _let_see(self, env: DrivingEnv, name: str) -> None:
-        """Show the environment of a car the simulator's state, where it reads more than scenes."""
-        simulator: Any = self.first._simulator
-        if env is not self.first and hasattr(simulator, "seen_by"):
-            vars(env)["replica"] = simulator.seen_by(name)
 
 
 class TupleEnv(gym.Env[Any, Any]):

@@ -3,38 +3,38 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.compat.as_highway_env import class_or_instance, returned
-from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_arguments, tell_of_steps
-from sumo_env.contacts.rectangles import state_of
-from sumo_env.env.screen import OnScreen
-from sumo_env.env.sumo_access import OwnSumo
-from sumo_env.networks.roads import LaneIndex
+from sumo_env.compat.as_highway_env import ReadAsHighwayEnv, class_or_instance, returned
+from sumo_env.config import COMMON, Config, ConfigError, refuse_arguments, tell_of_steps
+from sumo_env.env.episode import CarEpisode, EgoPlace, Episode
+from sumo_env.env.screen import Screen
+from sumo_env.env.sumo_access import SumoAccess
 from sumo_env.scene import Scene
-from sumo_env.simulator import Command, Commands, Driven, EgoCommand, EgoStep, Simulator, Step, WindowClosed
-from sumo_env.spaces.actions import PlainAction
+from sumo_env.simulator import Command, Commands, EgoCommand, Simulator, Step
 from sumo_env.spaces.info import ending, information, on_its_way, paid_late
 from sumo_env.spaces.interface import interface
 from sumo_env.streams import stream
 from sumo_env.sumo.process import SumoProcess
+from sumo_env.sumo.proxy import Sumo
 from sumo_env.tasks import get_task, reset_options
-from sumo_env.tasks.base import EgoState, Task, nearest_index
-from sumo_env.traffic.scenario import Scenario
+from sumo_env.tasks.base import Task, nearest_index
+from sumo_env.traffic.scenario import Scenario, VehicleSpec
 from sumo_env.traffic.tilt import asked_tilt
 
 Observation = NDArray[np.float32]
+Seen = tuple[Observation, dict[str, Any]]  # what `DrivingEnv.reset` returns
+Result = tuple[Observation, float, bool, bool, dict[str, Any]]  # what `DrivingEnv.step` returns
 
 
-class DrivingEnv(OnScreen, OwnSumo):
+class DrivingEnv(ReadAsHighwayEnv):
     """A driving task on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
@@ -59,7 +59,9 @@ class DrivingEnv(OnScreen, OwnSumo):
     """
 
     cars = 1  # learning cars of the scenario, of which this environment sees one
+    steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
+    _car: CarEpisode
 
     def __init__(
         self,
@@ -75,10 +77,10 @@ class DrivingEnv(OnScreen, OwnSumo):
         self._refuse_overrides()
         self.task: Task = get_task(task)
         refuse_arguments(unknown, self.default_config())
-        self._prepare_sumo(simulator, sumo_options, live, output_dir)
-        self._open(render_mode)
+        self._access = SumoAccess(self.task, simulator, sumo_options, live, output_dir)
+        self._screen = Screen(render_mode, self.metadata["render_modes"])
+        self.render_mode = render_mode
         self._configured: Config | None = None
-        self.scenario: Scenario | None = None
         self.configure(config)
 
     # -- configuration -------------------------------------------------------------------------------------
@@ -99,9 +101,9 @@ class DrivingEnv(OnScreen, OwnSumo):
             raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)
         if offered.action_type.names:
-            self._refuse_backwards("'target_speeds'", offered.action_type.target_speeds[0])
-        self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
-        if self._is_on_sumo:
+            self._access.refuse_backwards("'target_speeds'", offered.action_type.target_speeds[0])
+        self._access.refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
+        if self._access.is_sumo:
             tell_of_steps(self.task.frequency(changed))
         self._offered = offered
         self.config: Config = changed  # after all checks: an error leaves the environment as it was
@@ -117,20 +119,9 @@ class DrivingEnv(OnScreen, OwnSumo):
         self._own_observation = None
         self.observation_space, self.action_space = self._observation_type.space, self._action_type.space
 
-    @property
-    def _is_on_sumo(self) -> bool:
-        return self._given is None or isinstance(self._given, SumoProcess)
-
-    def _refuse_backwards(self, what: str, speed: float) -> None:
-        """An error if SUMO would have to drive at a negative speed [m/s]."""
-        if self._is_on_sumo and speed < 0.0:
-            raise ConfigError(f"{what}, {speed:g} m/s: SUMO's vehicles never drive backwards; replica/* do")
-
     # -- gymnasium -----------------------------------------------------------------------------------------
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Seen:
         """Start an episode.
 
         The traffic depends on the seed alone (on the environment's own generator if no seed is given), never on
@@ -147,16 +138,17 @@ class DrivingEnv(OnScreen, OwnSumo):
         Raises:
             ConfigError: an unknown option, key or name, a wrong value.
         """
-        return self._begin(*self._start(seed, options))
+        episode = self.start_episode(seed, options)
+        return self.enter_episode(episode.scenario.ego, episode.scene)
 
-    def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
+    def start_episode(self, seed: int | None, options: dict[str, Any] | None) -> Episode:
         """Draw the traffic of an episode and let it drive until the ego is there, see `reset`."""
         super().reset(seed=seed)
         options = reset_options.checked(options)
         # also without options: users of highway-env write to env.unwrapped.config directly
         if options.get("config") or self.config != self._configured:
             self.configure(options.get("config"))
-        self._drawn_by = task = reset_options.varied(self.task, options, self.config["risk"])
+        task = reset_options.varied(self.task, options, self.config["risk"])
         tilt = asked_tilt(options, task.risk_rates, self.config["risk"], self.config["duration"])
         try:
             if (given := options.get("scenario")) is not None:
@@ -172,35 +164,27 @@ class DrivingEnv(OnScreen, OwnSumo):
                 scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        self._refuse_backwards("the ego at the start", ego.speed)
-        self.scenario = scenario
-        if self._simulator is None:
-            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
-        self._commands = Driven()
-        self._met = None
-        return scenario, self._simulator.reset(scenario)
+        self._access.refuse_backwards("the ego at the start", ego.speed)
+        self._screen.action_name = ""
+        self.join_episode(Episode(self._access.open(), scenario, task))
+        return self._car.episode
 
-    def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
+    def join_episode(self, episode: Episode) -> None:
+        """Take part in an episode that has started; `enter_episode` lets the ego in."""
+        self._access.simulator = episode.simulator
+        self._car = CarEpisode(episode, episode.scenario.ego, episode.scene)
+
+    def enter_episode(self, ego: VehicleSpec, scene: Scene) -> Seen:
         """The ego is on the road: its first observation and ``info``."""
-        self.scenario, self.scene = scenario, scene
-        self._road, self._route = scenario.road, scenario.ego.route(scenario.road)
-        self._spec_of = {spec.id: spec for spec in scenario.specs}
-        self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
-        self._row_order = self._shuffling(scenario)
-        self._target_lane, speed = scenario.ego.lane, scenario.ego.speed
-        if self.scene.place is not None:  # SUMO has found a place for the ego
-            self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
-            self._find_route()
-        self._speed_index = nearest_index(speed, self.target_speeds)
-        self.steps, self._handed_over, self._is_closed, self._is_over = 0, False, False, False
-        self._ending = self._action_name = ""
-        self._last = EgoStep(self._target_lane, None, math.inf, 0.0)
-        self.ego_state = self._ego_state(None)
-        self._film((self.scene,))
+        self._car = car = CarEpisode(self._car.episode, ego, scene)
+        car.rng = self._shuffling(car)
+        speed = ego.speed if scene.place is None else scene.speed.item(0)  # SUMO has placed the ego
+        car.look(self._ego_place(), None, nearest_index(speed, self.target_speeds), len(self.target_speeds))
+        self._film((scene,))
         observation = self._observe()
         return observation, returned(self, "_info", self._info(observation, None), dict)
 
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> Result:
         """Drive one policy step.
 
         Returns:
@@ -219,65 +203,53 @@ class DrivingEnv(OnScreen, OwnSumo):
             SimulatorError: the simulator cannot continue this episode; `reset` starts another one.
             ValueError: the action is not in the action space.
         """
-        if self._simulator is None or self.scenario is None:
-            raise gym.error.ResetNeeded("call reset() before step()")
-        action = self._chosen(action)
-        command = self._command(action)
-        is_late = self._is_over
-        step = self._drive({(ego := self.ego_id): command})
-        result = self._after(action, command, step.scene.seen_by(ego), step.egos[ego])
-        self._follow_up()
+        self.ensure_reset()
+        if self.render_mode is not None:
+            action = self._screen.chosen(action, self._action_type, bool(self.config.get("manual_control")))
+        command, is_late = self.command_for(action), self._car.is_over
+        step = self.drive_cars({self._car.id: command})
+        result = self.result_of(action, command, step)
+        self.draw_arrival()
         return (result[0], paid_late(), *result[2:]) if is_late else result
 
-    def _command(self, action: Any) -> Command:
-        """What an action commands the ego."""
-        command = self._action_type.command(action, self._situation())
-        return EgoCommand(None, None) if self._handed_over else command
+    def ensure_reset(self, before: str = "step()", is_open: bool = True) -> None:
+        """An error unless there is an episode; is_open: and a simulator that can go on with it."""
+        if "_car" not in vars(self) or (is_open and self._access.simulator is None):
+            raise gym.error.ResetNeeded(f"call reset() before {before}")
 
-    def _drive(self, commands: Commands) -> Step:
-        """A policy step of the simulator."""
-        assert self._simulator is not None
-        self._commands.append(commands)
-        try:
-            step = self._simulator.step(commands, trace=self._is_watched)
-        except WindowClosed:  # the episode ends where it was
-            self._is_closed = True
-            step = Step(self.scene, dict.fromkeys(commands, self._last._replace(distance=0.0)))
-        self._met = step.egos.get(next(iter(step.scene.ids), ""))
+    def command_for(self, action: Any) -> Command:
+        """What an action commands the ego."""
+        command = self._action_type.command(action, self._car.situation(self.target_speeds))
+        return EgoCommand(None, None) if self._car.is_handed_over else command
+
+    def drive_cars(self, commands: Commands) -> Step:
+        """Drive a policy step of all learning cars, and show it."""
+        step = self._car.episode.step(commands, self._screen.is_watched)
         self._film(step.trace)
         return step
 
-    def _after(
-        self, action: Any, command: Command, scene: Scene, ego: EgoStep
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def result_of(self, action: Any, command: Command, step: Step) -> Result:
         """What `step` returns after an action that meant this command."""
-        self.scene, self._last, self._target_lane = scene, ego, ego.target_lane
-        if self.scene.place is not None:
-            self._find_route()
-        self.steps += 1
-        if (
-            isinstance(command, EgoCommand)
-            and command.target_speed is not None
-            and command.acceleration is None
-        ):
-            self._speed_index = self.target_speeds.index(command.target_speed)
-        else:
-            self._speed_index = nearest_index(self.scene.speed.item(0), self.target_speeds)
+        car = self._car
+        car.advance(step)
+        aim = command.target_speed if isinstance(command, EgoCommand) and self.actions else None
+        speed, speeds = car.scene.speed.item(0), self.target_speeds
+        index = nearest_index(speed, speeds) if aim is None else speeds.index(aim)
         plain = self._action_type.plain(action)
         action = plain if isinstance(plain, int) else np.array(action, np.float32)
-        self.ego_state = self._ego_state(plain)
+        car.look(self._ego_place(), plain, index, len(speeds))
         observation = self._observe()
         reward = returned(self, "_reward", self._reward(action), float)
         terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
-        self._ending = ending(self.ego_state, self.task.arrived(self.ego_state), terminated, truncated)
-        if self._is_closed:
-            truncated, self._ending = True, self._ending or "window closed"
-        self._is_over = self._is_over or terminated or truncated
+        car.ending = ending(car.ego_state, self.task.arrived(car.ego_state), terminated, truncated)
+        if car.episode.is_closed:
+            truncated, car.ending = True, car.ending or "window closed"
+        car.is_over = car.is_over or terminated or truncated
         info = returned(self, "_info", self._info(observation, action), dict)
         return observation, reward, terminated, truncated, info
 
-    def _follow_up(self) -> None:
-        """What happens between two steps."""
+    def draw_arrival(self) -> None:
+        """Draw who comes before the next step, where the scenario has not drawn it already."""
 
     def imagine(self, seed: int) -> DrivingEnv:
         """A copy of this environment in which new risk events replace those that have not begun.
@@ -291,70 +263,129 @@ class DrivingEnv(OnScreen, OwnSumo):
         """
         if not isinstance(seed, int | np.integer) or seed < 0:
             raise ConfigError(f"the seed of imagine() must be a whole number from 0 on, not {seed!r}")
-        if self.scenario is None:
-            raise gym.error.ResetNeeded("call reset() before imagine()")
+        self.ensure_reset("imagine()", is_open=False)
         twin = copy.deepcopy(self)
         # Seeds of scenarios are below 2**31, so an imagined future never equals the real one.
-        twin._go_on(lambda whole: self._drawn_by.imagined(whole, self.config, self.scene.time, 2**31 + seed))
+        twin._car.episode.imagine(self._imagined(2**31 + seed))
         return twin
+
+    def _imagined(self, seed: int) -> Scenario:
+        """The scenario of an imagined episode."""
+        episode = self._car.episode
+        return episode.drawn_by.imagined(episode.scenario, self.config, self.scene.time, seed)
 
     def close(self) -> None:
         """Close the window and the simulator; `reset` opens the simulator again."""
-        self._shut()
-        if self._simulator is not None:
-            self._simulator.close()
-            self._simulator = self._given
+        self._screen.close()
+        self._access.close()
         super().close()
 
     def _draw(self, task: Task) -> Scenario:
         """The traffic of an episode, drawn with the environment's generator."""
         return task.scenario(self._law, int(self.np_random.integers(2**31)))
 
-    def _shuffling(self, scenario: Scenario) -> np.random.Generator:
+    def _shuffling(self, car: CarEpisode) -> np.random.Generator:
         """What shuffles the rows of observations in an episode, apart from what draws the next one."""
-        return stream(scenario.seed, f"rows of {scenario.ego.id}")
+        return stream(car.episode.scenario.seed, f"rows of {car.ego.id}")
 
     @property
     def _law(self) -> Config:
         """The configuration that traffic is drawn by; a single environment's has no number of learning cars."""
         return {**self.config, "controlled_vehicles": self.cars} if self.cars > 1 else self.config
 
-    # -- parts ---------------------------------------------------------------------------------------------
+    @property
+    def ego_id(self) -> str:
+        """Id of the ego in SUMO and in `scene`."""
+        return self.scene.ids[0]
 
-    def _ego_state(self, action: PlainAction | None) -> EgoState:
-        lane, s, lateral, on_road = self._ego_place()
-        assert self.scenario is not None
-        scene = self.scene
-        frequency = pace(self.scenario.simulation_frequency, self.scenario.policy_frequency)
-        last = None if action is None else self.ego_state
-        acceleration = (scene.speed.item(0) - last.speed) * frequency if last else 0.0
-        return EgoState(
-            lane=lane,
-            s=s,
-            lateral=lateral,
-            speed=scene.speed.item(0),
-            heading=scene.heading.item(0),
-            target_lane=self._target_lane,
-            speed_index=self._speed_index,
-            speed_count=len(self.target_speeds),
-            action=action,
-            crashed=scene.crashed.item(0),
-            on_road=on_road,
-            scene=scene,
-            acceleration=acceleration,
-            jerk=(acceleration - last.acceleration) * frequency if last else 0.0,
-            before=last.scene if last else None,
-            lanes_abreast=self._road.count(*self._target_lane[:2]),
-        )
+    def _ego_place(self) -> EgoPlace:
+        return self._car.place()
 
-    def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
-        """The ego's lane, its coordinates there [m], and whether it is on the road."""
-        x, y, _, heading = state_of(self.scene, 0)
-        place = self.scene.place
-        index = place.lane if place is not None else self._road.closest_lane(x, y, heading)
-        lane = self._road.lane(index)
-        s, lateral = lane.local_coordinates(x, y)
-        return index, s, lateral, lane.covers(s, lateral)
+    # -- pictures ------------------------------------------------------------------------------------------
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode.
+
+        In the render mode "human" it is shown in a window, by `reset` and `step`, and None is returned.
+        """
+        if self.render_mode is None:
+            gym.logger.warn('render() needs gym.make(..., render_mode="rgb_array")')
+            return None
+        self.ensure_reset("render()", is_open=False)
+        picture = self._screen.picture(self._car, self.task, self.config)
+        if self.render_mode != "human":
+            return picture
+        if not self._screen.show(picture, self.task.name, self.task.frequency(self.config)):
+            self._car.episode.is_closed, self.render_mode = True, None
+            if self.config.get("manual_control"):  # there are no keys any more
+                self.config = {**self.config, "manual_control": False}
+        return None
+
+    def set_record_video_wrapper(self, wrapper: gym.wrappers.RecordVideo[Any, Any]) -> None:
+        """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
+
+        >>> env = RecordVideo(gym.make("sumo/highway-v0", render_mode="rgb_array"), "videos")
+        >>> env.unwrapped.set_record_video_wrapper(env)
+
+        Without this call, a film has one frame per policy step. ``config["simulation_frequency"]`` is the frame rate.
+        """
+        self._screen.video = wrapper
+        self._set_frame_rate()
+
+    def _set_frame_rate(self) -> None:
+        if self._screen.video is not None:
+            frequency = self.task.frequency(self.config)
+            self.metadata = {**self.metadata, "render_fps": frequency}
+            self._screen.video.frames_per_sec = frequency
+
+    def _film(self, scenes: Sequence[Scene]) -> None:
+        """Show the scenes of a policy step in the window, or add all but the last one to the film, which has that."""
+        screen = self._screen
+        for scene in scenes if screen.window is not None else scenes[:-1]:
+            self.scene = scene
+            if screen.window is not None:
+                self.render()
+            elif screen.video is not None and not self._car.episode.is_closed:
+                screen.video._capture_frame()
+
+    # -- SUMO ----------------------------------------------------------------------------------------------
+
+    def export(self, folder: str | Path) -> list[Path]:
+        """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
+
+        ``episode.sumocfg`` shows what happened. The episode is driven a second time, in a simulator of its own, so that
+        every simulation step is in the files. Each of several learning cars writes the same; the first one is blue.
+        """
+        self.ensure_reset("export()", is_open=False)
+        return self._access.export(Path(folder), self._car.episode)
+
+    def hand_over(self, to_sumo: bool = True) -> None:
+        """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
+
+        `reset` takes it back. `sumo_env.hand_over.HandOver` does both by a rule.
+        """
+        if self.steers:
+            raise ConfigError("SUMO drives nothing on the replica: hand_over is for environments on SUMO")
+        self.ensure_reset("hand_over(), which lasts until the next one", is_open=False)
+        self._car.is_handed_over = to_sumo
+
+    @property
+    def sumo(self) -> Sumo:
+        """SUMO of this very environment, in a worker too: ``env.unwrapped.sumo.vehicle.getFuelConsumption("ego")``.
+
+        All functions of libsumo, but those that load, step or end a simulation.
+        """
+        simulator = self._access.simulator
+        if self.scenario is None or not isinstance(simulator, SumoProcess):
+            raise gym.error.ResetNeeded("call reset() of an environment on SUMO before asking its SUMO")
+        return Sumo(simulator.call)
+
+    @property
+    def sumo_command(self) -> str:
+        """The command of ``sumo`` that drives the traffic of this episode, with SUMO's own files."""
+        if self.scenario is None or self.scenario.traffic is None:
+            raise gym.error.ResetNeeded("call reset() of a SumoDrivingEnv before sumo_command")
+        return self._access.command(self.scenario)
 
     # -- what a subclass may override, as in highway-env -----------------------------------------------------
 
@@ -377,15 +408,15 @@ class DrivingEnv(OnScreen, OwnSumo):
 
     def _info(self, obs: Observation, action: Any = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
-        state, met, place = self.ego_state, self._last, self.scene.place
+        car, state, place = self._car, self.ego_state, self.scene.place
         info = information(
             self.scene,
-            met,
+            car.met,
             arrived=self.task.arrived(state),
             on_road=state.on_road,
             rewards=returned(self, "_rewards", self._rewards(action), dict),
             action=self._action_type.no_action if action is None else action,
-            ending=self._ending,
+            ending=car.ending,
         )
         info |= {"acceleration": state.acceleration, "jerk": state.jerk}
         return info if place is None else info | on_its_way(place)

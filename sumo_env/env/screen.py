@@ -1,113 +1,128 @@
-"""What a user sees of an environment: pictures, films and a window."""
+"""Where a user sees an environment: pictures, films and a window, with the keys pressed in it (extra ``[window]``)."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.compat.as_highway_env import ReadAsHighwayEnv
-from sumo_env.scene import Scene
-from sumo_env.simulator import EgoStep
+from sumo_env.config import Config, ConfigError, warn_once
+from sumo_env.env.episode import CarEpisode
+from sumo_env.spaces.actions import ActionType, ContinuousAction, DiscreteAction
+from sumo_env.tasks.base import Task
 
-if TYPE_CHECKING:
-    from gymnasium.wrappers import RecordVideo
-
-    from sumo_env.env.window import Window
+PRESSED = 0.7  # of a number from -1 to 1 (``EventHandler.handle_continuous_action_event``)
 
 
-class OnScreen(ReadAsHighwayEnv):
-    """The part of `DrivingEnv` that shows its scene."""
+class Window:
+    """Opens with the first picture; a copy of an environment has none."""
 
-    metadata: dict[str, Any]
-    render_mode: str | None
-    _met: EgoStep | None = None  # what the first car of the scene has met in this policy step
-    _video: RecordVideo[Any, Any] | None = None
-    _window: Window | None = None  # of render mode "human"
-    _action_name = ""  # of the last meta-action of this episode
-    _is_closed = False  # whether the user has closed a window in this episode
+    def __init__(self) -> None:
+        try:
+            import pygame
+        except ImportError as error:
+            raise ImportError("render_mode='human' needs pygame: pip install pygame-ce") from error
+        self._pygame: Any = pygame
+        self._clock: Any = pygame.time.Clock()
+        self._screen: Any = None
+        self._keys: set[int] = set()  # that were pressed since the last action
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode.
-
-        In the render mode "human" it is shown in a window, by `reset` and `step`, and None is returned.
-        """
-        if self.render_mode is None:
-            gym.logger.warn('render() needs gym.make(..., render_mode="rgb_array")')
-            return None
-        if self.scenario is None:
-            raise gym.error.ResetNeeded("call reset() before render()")
-        from sumo_env import rendering  # Pillow is imported when the first picture is drawn
-
-        limit = float(self.config["duration"])
-        notes = rendering.notes(self.scene, self.scenario, self._met, self._action_name, limit)
-        picture = rendering.draw(self.scene, self.task.road(self.config), self.config, notes)
-        if self.render_mode != "human":
-            return picture
-        if self._window is not None and not self._window.show(
-            picture, self.task.name, self.task.frequency(self.config)
-        ):
-            gym.logger.warn("the window was closed: this episode ends, and the next ones have no window")
-            self._shut()
-            self._is_closed, self.render_mode = True, None
-            if self.config.get("manual_control"):  # there are no keys any more
-                self.config = {**self.config, "manual_control": False}
+    def __deepcopy__(self, memo: dict[int, object]) -> None:
         return None
 
-    def _open(self, render_mode: str | None) -> None:
-        """Take over the render mode; ValueError if there is no such one."""
-        if render_mode not in (None, *self.metadata["render_modes"]):
+    def show(self, picture: NDArray[np.uint8], title: str, frequency: float) -> bool:
+        """Show a picture, at most `frequency` of them in a second [Hz]; False once the user has closed the window."""
+        pygame = self._pygame
+        height, width, _ = picture.shape
+        if self._screen is None or self._screen.get_size() != (width, height):
+            pygame.display.init()
+            self._screen = pygame.display.set_mode((width, height))
+            pygame.display.set_caption(title)
+            if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+                warn_once("no window is seen: it needs a display (the variable DISPLAY)")
+        self._screen.blit(pygame.surfarray.make_surface(picture.swapaxes(0, 1)), (0, 0))
+        pygame.display.flip()
+        self._clock.tick(frequency)
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT:
+                return False
+            if event.type == pygame.KEYDOWN:
+                self._keys.add(event.key)
+        return True
+
+    def action(self, kind: ActionType) -> Any:
+        """The action that the arrow keys ask for, as in highway-env: IDLE, or zeros, without any."""
+        pygame, names = self._pygame, ("UP", "DOWN", "LEFT", "RIGHT")
+        held = pygame.key.get_pressed() if self._screen is not None else ()
+        keys = {
+            name
+            for name in names
+            if (key := getattr(pygame, f"K_{name}")) in self._keys or (held and held[key])
+        }
+        self._keys.clear()
+        if isinstance(kind, DiscreteAction):
+            raise ConfigError("'manual_control' needs 'DiscreteMetaAction' or 'ContinuousAction'")
+        if isinstance(kind, ContinuousAction):
+            pedals, turn = (("UP" in keys) - ("DOWN" in keys)), (("RIGHT" in keys) - ("LEFT" in keys))
+            numbers = [*([pedals] if kind.longitudinal else []), *([turn] if kind.lateral else [])]
+            return np.array(numbers, np.float32) * np.float32(PRESSED)
+        wanted = {"RIGHT": "FASTER", "LEFT": "SLOWER", "DOWN": "LANE_RIGHT", "UP": "LANE_LEFT"}
+        asked = {wanted[key] for key in keys} or {"IDLE"}
+        numbers_of = {name: number for number, name in kind.names.items()}
+        return next((numbers_of[name] for name in sorted(asked) if name in numbers_of), numbers_of["IDLE"])
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._screen is not None:
+            self._pygame.display.quit()
+            self._screen = None
+
+
+class Screen:
+    """Shows the scenes of an environment."""
+
+    def __init__(self, render_mode: str | None, render_modes: Sequence[str]) -> None:
+        if render_mode not in (None, *render_modes):
             raise ValueError(f"render_mode must be None, 'rgb_array' or 'human', not {render_mode!r}")
-        self.render_mode = render_mode
-        if render_mode == "human":
-            from sumo_env.env.window import Window  # pygame is imported where there is a window
-
-            self._window = Window()
-
-    def _shut(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
-
-    def _chosen(self, action: Any) -> Any:
-        """The action, or under ``manual_control`` that of the keys."""
-        if self.config.get("manual_control") and self._window is not None:
-            action = self._window.action(self._action_type)
-        if np.ndim(action) == 0 and self.render_mode is not None:
-            self._action_name = self._action_type.names.get(np.asarray(action).item(), "")
-        return action
-
-    def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
-        """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
-
-        >>> env = RecordVideo(gym.make("sumo/highway-v0", render_mode="rgb_array"), "videos")
-        >>> env.unwrapped.set_record_video_wrapper(env)
-
-        Without this call, a film has one frame per policy step. ``config["simulation_frequency"]`` is the frame rate.
-        """
-        self._video = wrapper
-        self._set_frame_rate()
-
-    def _set_frame_rate(self) -> None:
-        if self._video is not None:
-            frequency = self.task.frequency(self.config)
-            self.metadata = {**self.metadata, "render_fps": frequency}
-            self._video.frames_per_sec = frequency
+        self.window = Window() if render_mode == "human" else None
+        self.video: gym.wrappers.RecordVideo[Any, Any] | None = None  # films every simulation step
+        self.action_name = ""  # of the last meta-action of this episode, which pictures show
 
     @property
-    def _is_watched(self) -> bool:
+    def is_watched(self) -> bool:
         """Whether somebody sees every simulation step."""
-        return self._window is not None or (self._video is not None and self._video.recording)
+        return self.window is not None or (self.video is not None and self.video.recording)
 
-    def _film(self, scenes: Sequence[Scene]) -> None:
-        """Show the scenes of a policy step in the window, or add all but the last one to the film, which has that."""
-        for scene in scenes if self._window is not None else scenes[:-1]:
-            self.scene = scene
-            if self._window is not None:
-                self.render()
-            elif self._video is not None and not self._is_closed:
-                self._video._capture_frame()
+    def chosen(self, action: Any, kind: ActionType, manual: bool) -> Any:
+        """The action, or under ``manual_control`` that of the keys."""
+        if manual and self.window is not None:
+            action = self.window.action(kind)
+        if np.ndim(action) == 0:
+            self.action_name = kind.names.get(np.asarray(action).item(), "")
+        return action
+
+    def picture(self, car: CarEpisode, task: Task, config: Config) -> NDArray[np.uint8]:
+        """The scene as a car sees it, with notes."""
+        from sumo_env import rendering  # Pillow is imported when the first picture is drawn
+
+        met, limit = car.episode.met, float(config["duration"])
+        notes = rendering.notes(car.scene, car.episode.scenario, met, self.action_name, limit)
+        return rendering.draw(car.scene, task.road(config), config, notes)
+
+    def show(self, picture: NDArray[np.uint8], title: str, frequency: float) -> bool:
+        """Show a picture in the window, if there is one; False once the user has closed it."""
+        if self.window is None or self.window.show(picture, title, frequency):
+            return True
+        gym.logger.warn("the window was closed: this episode ends, and the next ones have no window")
+        self.close()
+        return False
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self.window is not None:
+            self.window.close()
+            self.window = None

@@ -22,7 +22,7 @@ from sumo_env.config import (
     refuse_arguments,
 )
 from sumo_env.env.driving import DrivingEnv, Observation
-from sumo_env.networks.roads import LaneIndex
+from sumo_env.env.episode import CarEpisode, EgoPlace, Episode
 from sumo_env.replica import draws
 from sumo_env.replica.batch import Start
 from sumo_env.replica.draws import INSTEAD
@@ -30,7 +30,6 @@ from sumo_env.replica.linear import LAWS
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import form_of
 from sumo_env.replica.simulator import Replica
-from sumo_env.scene import Scene
 from sumo_env.spaces.observation import OFFSETS, Kinematics
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import Task
@@ -169,7 +168,8 @@ class ReplicaEnv(DrivingEnv):
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 
-    def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
+    def start_episode(self, seed: int | None, options: dict[str, Any] | None) -> Episode:
+        """See `DrivingEnv.start_episode`."""
         if tilted := [name for name in TILTED if name in (options or {})]:
             raise ConfigError(
                 f"{', '.join(tilted)}: on the replica, events come as often as drawn; sumo/* has it"
@@ -178,13 +178,13 @@ class ReplicaEnv(DrivingEnv):
         if varied and self.is_stock:
             raise ConfigError(f"highway-env has no {', '.join(varied)} that a reset could vary; {INSTEAD}")
         self.draws_arrivals = False
-        return super()._start(seed, options)
+        episode = super().start_episode(seed, options)
+        if self._action_type.steers:  # who steers follows no route
+            episode.specs |= {car.id: car._replace(destination=None) for car in episode.scenario.cars}
+        return episode
 
-    def imagine(self, seed: int) -> DrivingEnv:
-        """A copy in which drivers have other parameters too (`draws.with_other_drivers`), see `DrivingEnv.imagine`."""
-        twin = super().imagine(seed)
-        twin._go_on(lambda whole: draws.with_other_drivers(whole, 2**31 + seed))
-        return twin
+    def _imagined(self, seed: int) -> Scenario:
+        return draws.with_other_drivers(super()._imagined(seed), seed)
 
     def _draw(self, task: Task) -> Scenario:
         if self.is_stock:
@@ -194,16 +194,17 @@ class ReplicaEnv(DrivingEnv):
             return draw_linear(task, self._law, int(self.np_random.integers(2**31)))
         return super()._draw(task)
 
-    def _follow_up(self) -> None:
+    def draw_arrival(self) -> None:
+        """As highway-env's intersection draws it."""
         if self.draws_arrivals:
-            centres = self.replica.staying()
-            spawn = draws.arrival(self.config, self._road, self.np_random, centres, self.steps)
+            episode, centres = self._car.episode, self.replica.staying()
+            spawn = draws.arrival(self.config, self._car.road, self.np_random, centres, self.steps)
             if spawn is not None:
-                self.scenario = self.replica.expect(spawn)
-                self._spec_of[spawn.vehicle.id] = spawn.vehicle
+                episode.scenario = self.replica.expect(spawn)
+                episode.specs[spawn.vehicle.id] = spawn.vehicle
 
-    def _shuffling(self, scenario: Scenario) -> np.random.Generator:
-        return self.np_random if self.is_stock else super()._shuffling(scenario)
+    def _shuffling(self, car: CarEpisode) -> np.random.Generator:
+        return self.np_random if self.is_stock else super()._shuffling(car)
 
     def begin(self) -> Start:
         """The traffic of the next episode, for a batch: drawn as by `reset`, with `np_random`."""
@@ -222,18 +223,19 @@ class ReplicaEnv(DrivingEnv):
 
     # -- what the ego sees ---------------------------------------------------------------------------------
 
-    def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
+    def _ego_place(self) -> EgoPlace:
+        whole: Any = self._car.episode.simulator
+        if whole is not self._access.given:  # it is the first learning car's
+            self.replica = whole.seen_by(self._car.id)
         return self.replica.ego_place()
 
     def _observe(self) -> Observation:
-        if self._action_type.steers:  # it follows no route
-            self._spec_of[self.ego_id] = self._spec_of[self.ego_id]._replace(destination=None)
         if self._own_observation is not None or self.form is None:
-            self._before_ego = self.replica.before_ego()
+            self._car.before_ego = self.replica.before_ego()
             return super()._observe()
         table = self.replica.table(self.form)
         if self.form.is_shuffled:
-            self._row_order.shuffle(table[1:])
+            self._car.rng.shuffle(table[1:])
         return table
 
 

@@ -229,8 +229,8 @@ def nowhere() -> None:
 def closed() -> None:
     env: Any = make_env("replica", "u-turn", {}).unwrapped
     env.reset(seed=0)
-    env._simulator.close()
-    env._simulator.step({"ego": EgoCommand(20.0, None)})
+    env._car.episode.simulator.close()
+    env._car.episode.simulator.step({"ego": EgoCommand(20.0, None)})
 
 
 def overriding(name: str) -> Callable[[], Any]:

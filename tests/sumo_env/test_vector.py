@@ -35,7 +35,7 @@ def envs(shared: SumoVectorEnv) -> SumoVectorEnv:
 
 
 def simulator(envs: SumoVectorEnv, index: int) -> SumoProcess:
-    return envs.envs[index].get_wrapper_attr("_simulator")
+    return envs.envs[index].get_wrapper_attr("_car").episode.simulator
 
 
 def kill(envs: SumoVectorEnv, index: int) -> None:

@@ -67,8 +67,8 @@ class Truth:
 
 def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[Scene]]]:
     """Episodes of an ego that acts at random, half of them risky; the truth, the environment, and every sub-step."""
-    env = DrivingEnv(task, simulator=SumoSimulator())
-    simulator: Any = env._simulator
+    simulator: Any = SumoSimulator()
+    env = DrivingEnv(task, simulator=simulator)
     simulate = simulator.step
     trace: list[Scene] = []
 

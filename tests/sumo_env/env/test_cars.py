@@ -139,6 +139,12 @@ def tuples(action: dict[str, Any], observation: dict[str, Any], **keys: Any) -> 
 
 
 META, CONTINUOUS, SEEN = {"type": "DiscreteMetaAction"}, {"type": "ContinuousAction"}, {"type": "Kinematics"}
+# who is steered follows no route, so that its neighbours see no destination
+DESTINATIONS = {
+    "type": "OccupancyGrid",
+    "features": ["presence", "x", "y", "cos_d", "sin_d"],
+    "grid_size": [[-50, 50], [-50, 50]],
+}
 LADDER = {**META, "lateral": False, "target_speeds": [0, 4.5, 9]}
 # [m/s] highway-env's steering divides by the speed: the rounding of a car that hardly moves grows
 STANDING = 0.2
@@ -148,6 +154,7 @@ CASES = {
     "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "grid": ("highway-v0", tuples({"type": "DiscreteAction"}, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "four arms": ("intersection-v0", tuples(LADDER, SEEN, controlled_vehicles=4, destination=None)),
+    "destinations": ("intersection-v0", tuples(CONTINUOUS, DESTINATIONS, controlled_vehicles=3)),
     "intersection": ("intersection-multi-agent-v0", None),
     "each its own": ("intersection-multi-agent-v1", None),
     "connected": ("intersection-multi-agent-v2", None),

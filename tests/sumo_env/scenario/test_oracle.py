@@ -66,7 +66,7 @@ def driven(env: SumoDrivingEnv, seconds: int, command: EgoCommand = NOTHING) -> 
     begin = float(inner.sumo.simulation.getTime())
     scenes = [inner.scene]
     for _ in range(seconds):
-        step = inner._simulator.step({inner.ego_id: command}, trace=True)
+        step = inner._car.episode.simulator.step({inner.ego_id: command}, trace=True)
         scenes += step.trace
         if step.scene.place.ended:
             scenes.pop()

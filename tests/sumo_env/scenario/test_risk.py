@@ -67,8 +67,9 @@ def test_parameters_follow_the_law_relative_to_each_driver_s_own_type(road: tupl
         all_of = found[dose] = {}
         for _ in range(10):
             all_of.update(factors(env))
+            simulator = env._car.episode.simulator
             for _ in range(25):
-                env.scene = env._simulator.step({env.ego_id: EgoCommand(3.0, env.scene.place.lane)}).scene
+                env.scene = simulator.step({env.ego_id: EgoCommand(3.0, env.scene.place.lane)}).scene
     values = np.array(list(found[1.0].values()))
     assert len(values) >= 200
     for column, name in zip(values.T, ("accel", "decel", "tau", "min_gap"), strict=True):

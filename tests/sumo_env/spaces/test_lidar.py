@@ -82,7 +82,7 @@ def test_sectors_turn_with_the_ego_in_its_axes() -> None:
         turned = replace(scene, x=places.real, y=places.imag, heading=scene.heading - scene.heading[0])
         assert abs(scene.heading[0]) > 0.1
         seen = [
-            Lidar(LIDAR, own_axes=own).observe(env._situation()._replace(scene=each))
+            Lidar(LIDAR, own_axes=own).observe(env._car.situation(env.target_speeds)._replace(scene=each))
             for own, each in ((True, scene), (False, turned), (False, scene))
         ]
         np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)

@@ -160,7 +160,7 @@ def test_an_imagined_copy_has_the_past_and_another_future() -> None:
     assert len(set(endings)) > 1
     again = SumoProcess()  # an imagined episode is a scenario: driven from its start, it is the same
     again.reset(first.scenario)
-    for commands in first._commands:
+    for commands in first._car.episode.commands:
         step = again.step(commands)
     np.testing.assert_array_equal(step.scene.x, first.scene.x)
 
@@ -175,10 +175,10 @@ def test_copies_keep_no_further_commands_however_long_an_episode_is() -> None:
     env.step(0)
     for _ in range(2):
         twin.step(1)
-    assert (len(env._commands), len(twin._commands)) == (151, 152)
-    simulators: list[Any] = [env._simulator, twin._simulator]
+    assert (len(env._car.episode.commands), len(twin._car.episode.commands)) == (151, 152)
+    simulators: list[Any] = [env._car.episode.simulator, twin._car.episode.simulator]
     calls = [call for simulator in simulators for call in simulator._calls]
-    kept = {id(one) for each in (env, twin) for one in each._commands}
+    kept = {id(one) for each in (env, twin) for one in each._car.episode.commands}
     kept |= {id(arguments[0]) for name, arguments in calls if name == "step"}
     assert len(kept) == 153
 

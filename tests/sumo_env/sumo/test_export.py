@@ -77,7 +77,8 @@ def test_the_other_backends_export_as_well(backend: str, tmp_path: Path) -> None
     env = driven(make_env(backend, "u-turn"), 1)
     env.export(tmp_path)
     recorded = floating_car_data(tmp_path / "recorded.fcd.xml")
-    assert len(recorded) == 1 + len(env._commands if backend == "replica" else range(env.steps // 15)) * 15
+    steps = len(env._car.episode.commands) if backend == "replica" else env.steps // 15
+    assert len(recorded) == 1 + steps * 15
     assert max(distances(recorded, opened(tmp_path / "episode.sumocfg")).values()) < 0.1
 
 

@@ -47,7 +47,7 @@ def display() -> Iterator[None]:
 
 def window_of(env: Any) -> int:
     """Process of the window of an environment."""
-    (pid,) = children(env.unwrapped._simulator.pid, "sumo-gui")
+    (pid,) = children(env.unwrapped._car.episode.simulator.pid, "sumo-gui")
     return pid
 
 
@@ -95,7 +95,7 @@ def test_a_window_ends_with_a_worker_that_is_killed() -> None:
     env: Any = DrivingEnv("two-way", live="sumo-gui")
     env.reset(seed=0)
     window = window_of(env)
-    os.kill(env._simulator.pid, signal.SIGKILL)
+    os.kill(env._car.episode.simulator.pid, signal.SIGKILL)
     assert ends(window)
     with pytest.raises(SimulatorError, match="killed by SIGKILL"):
         env.step(IDLE)
@@ -106,6 +106,6 @@ def test_a_script_that_ends_leaves_no_window() -> None:
     script = (
         "import gymnasium as gym, sumo_env; from tests.processes import children\n"
         "env = gym.make('sumo/u-turn-v0', live='sumo-gui'); env.reset(seed=0); env.step(1)\n"
-        "print(children(env.unwrapped._simulator.pid, 'sumo-gui')[0])"
+        "print(children(env.unwrapped._car.episode.simulator.pid, 'sumo-gui')[0])"
     )
     assert ends(int(python("-c", script).split()[-1]))

@@ -29,7 +29,7 @@ for _ in range(2):
     envs.append(env)
     env.reset(seed=0)
     print(repr([float(value) for value in env.step(1)[0].ravel()]))
-print(envs[1]._simulator.pid is not None)
+print(envs[1]._car.episode.simulator.pid is not None)
 """
 
 

@@ -131,7 +131,7 @@ def test_vehicles_that_a_user_adds_through_libsumo_are_seen(start: Start, depart
     times = []
     while not env.ego_state.crashed and env.steps < 15:
         times.append(env.step(IDLE)[-1]["min_ttc"])
-    assert env._last.crash.other == "mine"
+    assert env._car.met.crash.other == "mine"
     assert min(times) < 1.0
     assert "mine" in env.scene.ids and env.scene.size("mine") == (5.0, 1.8)  # of SUMO's passenger car
     assert env.scene.crashed.all()

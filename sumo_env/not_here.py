@@ -56,7 +56,7 @@ REASONS: dict[str, str] = {
     **_all("viewer enable_auto_render", _PICTURES),
     **_all("route destination plan_route_to", "env.unwrapped.scenario has where vehicles drive to"),
     **_all("create_random make_on_lane create_from np_random", _PLACES),
-    **_all("envs call get_attr set_attr", ALONE),
+    **_all("envs call get_attr set_attr render", ALONE),
     "seed": "reset(seed=...) takes it",
     "done": "step() returns whether the episode is over",
     "env": "read env.unwrapped",

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import gymnasium as gym
 import numpy as np
@@ -52,6 +52,12 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
         self.agents: list[str] = []
         # highway-env has one reward and one end, those of the first car, where it does not have one for each
         self._follows_first = cars.first.steers and not cars.first.task.shares_reward
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            hint = f": of a car it is env.cars[agent].{name}" if hasattr(DrivingEnv, name) else ""
+            raise AttributeError(f"a parallel_env has no attribute {name!r}{hint}", name=name)
 
     @property
     def ids(self) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from functools import update_wrapper
 from operator import attrgetter
@@ -89,7 +90,6 @@ def _of_car(name: str) -> Any:
 class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     """The part of `DrivingEnv` that scripts and subclasses written for highway-env meet."""
 
-    default_config: Any
     PERCEPTION_DISTANCE = PERCEPTION_DISTANCE  # [m]
     task: Task
     _is_raised = False  # whether the frequency of the simulation only follows that of the policy
@@ -100,6 +100,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     _observation_type: Any
     _own_observation: Any = None  # a subclass's
     _car: Any  # a `CarEpisode`, from the first reset on
+    _screen: Any
     scene: Scene = _of_car("scene")  # the present one, as the ego sees it
     ego_state: EgoState = _of_car("ego_state")
     steps: int = _of_car("steps")  # policy steps of this episode
@@ -123,6 +124,15 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
                 owner = type(self).__name__
                 where = page("from-highway-env", "subclasses")
                 raise TypeError(f"{owner}.{name} would never be called: {instead} ({where})")
+
+    @class_or_instance
+    def default_config(self) -> Config:
+        """Every key with its default. A subclass may change defaults and add keys for a reward of its own.
+
+        Of an environment, or of a class, as in highway-env: ``HighwayEnv.default_config()``.
+        """
+        task = getattr(self, "task", None)  # a class may have none
+        return copy.deepcopy({**COMMON, **(task.defaults if task else {})})
 
     def _defaults(self) -> Config:
         """What `default_config` returns, over the task's defaults. In a subclass it may be a class method.
@@ -216,6 +226,23 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         return ActionType(
             _of=self._action_type, space=lambda: self.action_space, **(named if self.actions else {})
         )
+
+    def set_record_video_wrapper(self, wrapper: gym.wrappers.RecordVideo[Any, Any]) -> None:
+        """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
+
+        >>> env = RecordVideo(gym.make("sumo/highway-v0", render_mode="rgb_array"), "videos")
+        >>> env.unwrapped.set_record_video_wrapper(env)
+
+        Without this call, a film has one frame per policy step. ``config["simulation_frequency"]`` is the frame rate.
+        """
+        self._screen.video = wrapper
+        self._set_frame_rate()
+
+    def _set_frame_rate(self) -> None:
+        if self._screen.video is not None:
+            frequency = self.task.frequency(self.config)
+            self.metadata = {**self.metadata, "render_fps": frequency}
+            self._screen.video.frames_per_sec = frequency
 
     def get_available_actions(self) -> list[int]:
         """Indices of IDLE, and of the actions that would change something now, in highway-env's order."""

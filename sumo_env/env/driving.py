@@ -12,8 +12,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.compat.as_highway_env import ReadAsHighwayEnv, class_or_instance, returned
-from sumo_env.config import COMMON, Config, ConfigError, refuse_arguments, tell_of_steps
+from sumo_env.compat.as_highway_env import ReadAsHighwayEnv, returned
+from sumo_env.config import Config, ConfigError, refuse_arguments, tell_of_steps
 from sumo_env.env.episode import CarEpisode, EgoPlace, Episode
 from sumo_env.env.screen import Screen
 from sumo_env.env.sumo_access import SumoAccess
@@ -84,15 +84,6 @@ class DrivingEnv(ReadAsHighwayEnv):
         self.configure(config)
 
     # -- configuration -------------------------------------------------------------------------------------
-
-    @class_or_instance
-    def default_config(self) -> Config:
-        """Every key with its default. A subclass may change defaults and add keys for a reward of its own.
-
-        Of an environment, or of a class, as in highway-env: ``HighwayEnv.default_config()``.
-        """
-        task = getattr(self, "task", None)  # a class may have none
-        return copy.deepcopy({**COMMON, **(task.defaults if task else {})})
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
@@ -320,23 +311,6 @@ class DrivingEnv(ReadAsHighwayEnv):
             if self.config.get("manual_control"):  # there are no keys any more
                 self.config = {**self.config, "manual_control": False}
         return None
-
-    def set_record_video_wrapper(self, wrapper: gym.wrappers.RecordVideo[Any, Any]) -> None:
-        """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
-
-        >>> env = RecordVideo(gym.make("sumo/highway-v0", render_mode="rgb_array"), "videos")
-        >>> env.unwrapped.set_record_video_wrapper(env)
-
-        Without this call, a film has one frame per policy step. ``config["simulation_frequency"]`` is the frame rate.
-        """
-        self._screen.video = wrapper
-        self._set_frame_rate()
-
-    def _set_frame_rate(self) -> None:
-        if self._screen.video is not None:
-            frequency = self.task.frequency(self.config)
-            self.metadata = {**self.metadata, "render_fps": frequency}
-            self._screen.video.frames_per_sec = frequency
 
     def _film(self, scenes: Sequence[Scene]) -> None:
         """Show the scenes of a policy step in the window, or add all but the last one to the film, which has that."""

@@ -163,6 +163,10 @@ class ReplicaVectorEnv(VectorEnv):
     def __getattr__(self, name: str) -> NoReturn:
         raise missing("a compiled batch", name, dir(type(self)))
 
+    def render(self) -> NoReturn:
+        """Not here."""
+        raise missing("a compiled batch", "render", ())
+
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""
         if self._pool is not None:

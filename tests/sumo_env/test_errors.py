@@ -302,6 +302,8 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: DrivingEnv("highway", acts({"type": "MultiAgentAction"})), ConfigError, "sumo_env.parallel_env"),
     (lambda: make_env("replica", "uturn", {}), UserError, "unknown task"),
     (lambda: sumo_env.HighwayEnv, AttributeError, "sumo_env.envs"),
+    (lambda: sumo_env.parallel_env("highway", {"controlled_vehicles": 2}).vehicle, AttributeError, "env.cars[agent]"),
+    (lambda: gym.make_vec("replica/highway-v0", 1).render(), AttributeError, "sync"),
     (lambda: sumo_env.paralel_env, AttributeError, "'parallel_env'"),
     # subclasses
     *((answering(name, None), TypeError, name) for name in ("_reward", "_rewards", "_info", "default_config")),

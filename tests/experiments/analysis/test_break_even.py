@@ -9,7 +9,7 @@ import pytest
 from experiments.analysis.break_even import break_even, compared, mean_of_agents
 from experiments.reporting.rare import break_even_figure, break_even_words
 
-RATES = np.array([1e-3, 1e-2, 1e-1, 1.0])
+RATES = [1e-3, 1e-2, 1e-1, 1.0]
 
 
 def agent(values: np.ndarray, width: float = 0.1) -> pd.DataFrame:
@@ -21,7 +21,7 @@ def agent(values: np.ndarray, width: float = 0.1) -> pd.DataFrame:
 
 
 def arm(floor: float, slope: float, spread: float = 0.01) -> list[pd.DataFrame]:
-    return [agent((1 + spread * k) * (floor + slope * RATES)) for k in (-2, -1, 0, 1, 2)]
+    return [agent((1 + spread * k) * (floor + slope * np.array(RATES))) for k in (-2, -1, 0, 1, 2)]
 
 
 def test_the_curves_cross_where_they_are_known_to() -> None:

@@ -74,6 +74,6 @@ def test_the_interval_covers_the_difference_of_two_populations() -> None:
 
 def test_the_figure_has_a_panel_for_each_task() -> None:
     both = compared({"control": arm(0.01, 0.5), "treatment": arm(0.02, 0.1)}).add_suffix("_per_episode")
-    table = both.reset_index().assign(events_per_hour=1000 * RATES)
+    table = both.reset_index().assign(events_per_hour=1000 * np.array(RATES))
     drawn = break_even_figure(pd.concat([table.assign(task=task) for task in ("u-turn", "roundabout")]))
     assert "u-turn" in drawn and "roundabout" in drawn and "near-crashes" in drawn

@@ -149,10 +149,9 @@ class ScenarioEnv(AbstractEnv):
         before, last = self._motion if self.steps else (speed, 0.0)
         acceleration = (speed - before) * frequency
         self._motion = speed, acceleration
-        met = EgoStep(self.vehicle.lane_index, self.crash, self.min_ttc, self.distance)
+        met = self.scene, EgoStep(self.vehicle.lane_index, self.crash, self.min_ttc, self.distance)
         return {"acceleration": acceleration, "jerk": (acceleration - last) * frequency} | information(
-            self.scene,
-            met,
+            *met,
             arrived=self._arrived(),
             on_road=self.vehicle.on_road,
             rewards=self._rewards(action),
@@ -194,6 +193,7 @@ class ScenarioEnv(AbstractEnv):
     def _make_vehicles(self, *_: Any) -> None:
         """Place the scenario, in place of highway-env's draws, and drive its warm-up (`Simulator.reset`)."""
         scenario, spec = self.scenario, self.scenario.ego
+        place = [spec.x, spec.y]
         standing = [other for other in scenario.vehicles if other.is_obstacle]
         for box, known in zip(self.road.objects, standing, strict=True):
             box.id = known.id
@@ -204,10 +204,8 @@ class ScenarioEnv(AbstractEnv):
                 self.road.act()
                 self.road.step(1 / self.config["simulation_frequency"])
             self._let_in(0)
-            place = np.array([spec.x, spec.y])
             vehicles = [v for v in self.road.vehicles if np.linalg.norm(v.position - place) >= EGO_DISTANCE]
-        made = self.action_type.vehicle_class
-        ego = made(self.road, [spec.x, spec.y], heading=spec.heading, speed=spec.speed)
+        ego = self.action_type.vehicle_class(self.road, place, heading=spec.heading, speed=spec.speed)
         ego.id = EGO
         if spec.destination is not None:
             ego.plan_route_to(spec.destination)

@@ -68,18 +68,21 @@ def road_units(task: str, unit: str, digits: int) -> str:
     return " | ".join(plain(values[traffic], digits) for traffic in ("0", "1", "measured"))
 
 
-def entries(outcome: str) -> str:
-    """A table of the frozen test: one of `by_task.COLUMNS` by driver and task, in its four traffics; without intervals.
+def entries(*outcomes: str) -> str:
+    """A table of the frozen test by driver and task: some of `by_task.COLUMNS`, each in regular/risky traffic.
 
     What was driven on another set or another simulator is left out.
     """
     lines = []
     for name, card in evaluate.entries().items():
-        cells: dict[str, list[str]] = {task: [] for task in GRID}
-        for row in card["rows"]:
-            if row["level"] == ALL and card["set"][row["task"]] == evaluate.identity(row["task"]):
-                cells[row["task"]].append(points(row[outcome][0], outcome, signed=False))
-        lines.append({"driver": f"`{name}`", **{task: "/".join(own) for task, own in cells.items()}})
+        line = {"driver": f"`{name}`"}
+        rows = chosen(pd.DataFrame(card["rows"]), level=ALL).set_index(["task", "traffic"])
+        for task in GRID:
+            if card["set"].get(task) == evaluate.identity(task):
+                both = [rows.loc[(task, traffic)] for traffic in ("regular", "risky")]
+                cells = [[points(row[name][0], name, signed=False) for row in both] for name in outcomes]
+                line[task] = " ".join(map("/".join, cells))
+        lines.append(line)
     return _markdown(pd.DataFrame(lines))
 
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from filelock import FileLock
 
 from agents.files import atomic, open_regular
@@ -39,7 +38,11 @@ def plain_json(value: Any, digits: int = 17) -> Any:
         value = value.item()
     if isinstance(value, float):
         return float(f"{value:.{digits}g}") if math.isfinite(value) else None
-    return None if value is pd.NA else value
+    if value is None or isinstance(value, str | int):
+        return value
+    from pandas import NA  # late: a process that only computes cells' neighbours starts in half of the time
+
+    return None if value is NA else value
 
 
 def sha256_bytes(data: bytes) -> str:

@@ -35,8 +35,10 @@ class Part(NamedTuple):
 
 def log_likelihood(episodes: pd.DataFrame, base: float, level: float) -> np.ndarray:
     """Of the events that came, but for what does not depend on the rates; shape (n,)."""
-    near = xlogy(episodes["near"], level) - level * episodes["near_expected"]
-    return np.asarray(near + xlogy(episodes["other"], base) - base * episodes["other_expected"])
+    columns = ("near", "near_expected", "other", "other_expected")
+    near, near_expected, other, other_expected = (episodes[name].to_numpy() for name in columns)
+    found = xlogy(near, level) - level * near_expected + xlogy(other, base) - base * other_expected
+    return np.asarray(found)
 
 
 def weights(episodes: pd.DataFrame, rate: float) -> np.ndarray:

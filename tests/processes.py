@@ -19,9 +19,19 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 # Other people's packages that are slow to import; not those that register environments when they are imported.
 SLOW = [
-    "gymnasium", "torch", "pandas", "pyarrow.parquet", "scipy.stats", "matplotlib.figure", "stable_baselines3", "numba",
-    "tyro", "jinja2", "PIL.Image",
-]  # fmt: skip
+    "gymnasium",
+    "torch",
+    "torch._dynamo",
+    "pandas",
+    "pyarrow.parquet",
+    "scipy.stats",
+    "matplotlib.figure",
+    "stable_baselines3",
+    "numba",
+    "tyro",
+    "jinja2",
+    "PIL.Image",
+]  # fmt: skip; the first optimizer of a process imports torch._dynamo
 
 
 def variables(own: dict[str, str]) -> dict[str, str]:

@@ -25,7 +25,7 @@ from experiments.support.arguments import parsed, split_arguments
 from experiments.support.errors import UserError
 from experiments.sweep import Options
 from sumo_env.tasks import TASKS
-from tests.processes import ROOT, ended, python
+from tests.processes import ROOT, ended, python_again
 
 WORDS = st.text(max_size=12)
 NUMBERS = st.integers(-10, 10**7)
@@ -152,7 +152,7 @@ for script in sorted(Path({str(ROOT / "experiments")!r}).glob("*.py")):
             assert not end.code, script
         assert sys.path[0] != str(script.parent), script
 """
-    python("-c", code)
+    python_again("-c", code)
 
 
 def test_what_is_not_installed_is_told_in_a_line() -> None:

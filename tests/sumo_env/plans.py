@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import subprocess
+import tempfile
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -30,14 +32,24 @@ KINDS = {"node": "id x y", "edge": "id from to numLanes speed", "connection": "f
 def build(folder: Path, plan: Plan, *options: str) -> Path:
     """The network of a plan."""
     net = folder / "plan.net.xml"
-    for (tag, names), text in zip(KINDS.items(), plan, strict=False):
-        if "<" not in text:
-            rows = [dict(zip(names.split(), row.split(), strict=True)) for row in text.split(",")]
-            text = "".join(ElementTree.tostring(ElementTree.Element(tag, row), "unicode") for row in rows)
-        (folder / f"{tag}s.xml").write_text(f"<{tag}s>{text}</{tag}s>")
-        options += (f"--{tag}-files", str(folder / f"{tag}s.xml"))
-    subprocess.run([SUMO.with_name("netconvert"), *options, "-o", net], check=True, capture_output=True)
+    net.write_bytes(converted(plan, options))
     return net
+
+
+@cache
+def converted(plan: Plan, options: tuple[str, ...]) -> bytes:
+    """What netconvert makes of a plan, which several tests drive on."""
+    with tempfile.TemporaryDirectory() as folder:
+        net = Path(folder) / "plan.net.xml"
+        for (tag, names), text in zip(KINDS.items(), plan, strict=False):
+            if "<" not in text:
+                rows = [dict(zip(names.split(), row.split(), strict=True)) for row in text.split(",")]
+                text = "".join(ElementTree.tostring(ElementTree.Element(tag, row), "unicode") for row in rows)
+            file = net.with_name(f"{tag}s.xml")
+            file.write_text(f"<{tag}s>{text}</{tag}s>")
+            options += (f"--{tag}-files", str(file))
+        subprocess.run([SUMO.with_name("netconvert"), *options, "-o", net], check=True, capture_output=True)
+        return net.read_bytes()
 
 
 def route_file(folder: Path, elements: str) -> Path:

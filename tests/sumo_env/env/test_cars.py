@@ -48,6 +48,7 @@ def test_one_car_alone_is_the_single_environment_to_the_bit(kind: str, task: str
     env: Any = several(kind, task, 1)
     single: Any = gym.make(f"{kind}/{task}-v0")
     found, rng = driven(env, 3), np.random.default_rng(3)
+    env.close()
     observation, info = single.reset(seed=3)
     assert found[0][0]["car_0"].tobytes() == observation.tobytes() and repr(found[0][1]["car_0"]) == repr(
         info

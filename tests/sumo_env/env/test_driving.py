@@ -43,7 +43,8 @@ def test_gymnasium_and_stable_baselines_have_nothing_to_object_to(id: str) -> No
     risky, regular = (gym.make(id, config={"risk": r}, disable_env_checker=True, **kind) for r in (1.0, 0.0))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        check_env(risky.unwrapped)
+        # pictures of each task: rendering/test_pictures.py
+        check_env(risky.unwrapped, skip_render_check=not id.endswith("u-turn-v0"))
         risky.close()
         stable_baselines3.common.env_checker.check_env(regular)
     messages = [str(warning.message) for warning in caught]

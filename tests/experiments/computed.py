@@ -15,7 +15,7 @@ from tests.experiments.fake_env import make_env
 TINY: dict[str, Any] = {
     "preset": "smoke",
     "tasks": ("u-turn",),
-    "updates": 150,
+    "updates": 40,
     "network": "dueling",
     "episodes": 3,
 }

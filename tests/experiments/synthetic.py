@@ -83,10 +83,11 @@ def episodes(cell: Cell, effect: float, spread: float, purpose: str = "test") ->
         for name, word in {"other": "a car", "type": "rear-end", "detected_by": "sumo"}.items():
             table[f"crash_{name}"] = np.where(crashed, np.array(word, object), None)
         tables.append(table)
-    columns = {name: np.concatenate([table[name] for table in tables]) for name in COLUMNS}
-    index = np.concatenate([np.arange(n)] * len(tables))
-    found = pd.DataFrame(columns, index)
-    return found.astype({name: kind for name, kind in COLUMNS.items() if found.dtypes[name] != kind})
+    columns = {
+        name: pd.array(np.concatenate([table[name] for table in tables]), dtype=kind)
+        for name, kind in COLUMNS.items()
+    }
+    return pd.DataFrame(columns, np.concatenate([np.arange(n)] * len(tables)))
 
 
 def learner(cell: Cell, diverged: bool) -> dict[str, Any]:

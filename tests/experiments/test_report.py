@@ -7,6 +7,7 @@ import re
 from collections import defaultdict
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -174,8 +175,9 @@ class TestAnswer:
 @pytest.mark.usefixtures("words_alone")
 def test_folders_side_by_side_are_compared_in_the_settings_of_all(tmp_path):
     own, other = tmp_path / "own", tmp_path / "other"
-    synthetic.write(own, {"highway": (1, 2), "u-turn": (1,)}, seeds=3, tests=10)
-    synthetic.write(other, {"highway": (1,), "u-turn": (1,)}, seeds=3, tests=10, backend="replica")
+    size: dict[str, Any] = {"seeds": 3, "tests": 10, "baselines": ("careful",)}
+    synthetic.write(own, {"highway": (1, 2), "u-turn": (1,)}, **size)
+    synthetic.write(other, {"highway": (1,), "u-turn": (1,)}, **size, backend="replica")
     ours, theirs = reported(own, other)
     text = Page((own / report.REPORT).read_text()).text
     elsewhere = main(theirs.means, "replica").query("scope == 'all tasks' and outcome == 'crashed'")
@@ -259,7 +261,7 @@ absent = Outcome("Absent", "", 0, 1, of=lambda episodes: episodes["absent"])
 def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
     """As an exploratory one: what decides is fixed."""
     (tmp_path / "mine.py").write_text(OWN)
-    synthetic.write(tmp_path, {"u-turn": (1,)}, tests=6)
+    synthetic.write(tmp_path, {"u-turn": (1,)}, tests=6, baselines=("careful",))
     before = analyse(load(tmp_path))
     name, outcome = report.own_outcome(f"{tmp_path}/mine.py:waiting")
     [after] = reported(tmp_path, own={name: outcome})

@@ -23,7 +23,8 @@ def plans() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     directory = tmp_path_factory.mktemp("results")
-    synthetic.write(directory, {"highway": (1, 2), "u-turn": (1, 2, 3)}, seeds=4, effect=-0.2)
+    levels = {"highway": (1, 2), "u-turn": (1, 2, 3)}
+    synthetic.write(directory, levels, seeds=4, effect=-0.2, baselines=("careful",))
     return load(directory)
 
 

@@ -55,21 +55,25 @@ def test_agents_that_never_crashed_have_the_limit_of_their_episodes() -> None:
 
 
 def test_the_interval_covers_the_difference_of_two_populations() -> None:
-    rng, hits = np.random.default_rng(1), []
-    for _ in range(400):
-        curves = {}
-        for name, centre in (("control", 0.3), ("treatment", 0.1)):
-            rates = np.clip(rng.normal(centre, 0.03, 5), 0.01, 0.99)  # agents differ
-            seen = rng.binomial(400, rates) / 400
-            half = 1.96 * np.sqrt(seen * (1 - seen) / 400)
-            rows = [pd.DataFrame({"rate": [1.0], "crashes_per_episode": [p]}) for p in seen]
-            curves[name] = [
-                row.assign(crashes_per_episode_low=p - h, crashes_per_episode_high=p + h)
-                for row, p, h in zip(rows, seen, half, strict=True)
-            ]
-        row = compared(curves).iloc[0]
-        hits.append(row["difference_low"] <= -0.2 <= row["difference_high"])
-    assert 0.93 <= np.mean(hits) <= 0.99
+    """Each rate of the curves is another study."""
+    rng, studies, curves = np.random.default_rng(1), 400, {}
+    for name, centre in (("control", 0.3), ("treatment", 0.1)):
+        rates = np.clip(rng.normal(centre, 0.03, (5, studies)), 0.01, 0.99)  # agents differ
+        seen = rng.binomial(400, rates) / 400
+        half = 1.96 * np.sqrt(seen * (1 - seen) / 400)
+        parts = {"": seen, "_low": seen - half, "_high": seen + half}
+        curves[name] = [
+            pd.DataFrame(
+                {
+                    "rate": np.arange(studies),
+                    **{f"crashes_per_episode{end}": of[k] for end, of in parts.items()},
+                }
+            )
+            for k in range(5)
+        ]
+    found = compared(curves)
+    assert len(found) == studies
+    assert 0.93 <= found.eval("difference_low <= -0.2 <= difference_high").mean() <= 0.99
 
 
 def test_the_figure_has_a_panel_for_each_task() -> None:

@@ -26,7 +26,8 @@ LEVELS = {"highway": (1,), "roundabout": (1, 2), "u-turn": (1,)}
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     home = tmp_path_factory.mktemp("by-task")
-    synthetic.write(home, LEVELS, seeds=4, tests=30, effect=-0.3, further=("mixed",), test_on=("replica",))
+    drivers: dict[str, Any] = {"further": ("mixed",), "baselines": ("careful",)}
+    synthetic.write(home, LEVELS, seeds=4, tests=30, effect=-0.3, test_on=("replica",), **drivers)
     return load(home)
 
 

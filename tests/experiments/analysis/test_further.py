@@ -20,7 +20,7 @@ from tests.experiments.analysis.made_up import PAIR, agents, find
 
 LEVELS = {"highway": (1,), "u-turn": (1,)}
 FURTHER = ("mixed", "told", "dose50")
-STUDY: dict[str, Any] = {"seeds": 3, "tests": 20, "effect": -0.4, "spread": 0.01}
+STUDY: dict[str, Any] = {"seeds": 3, "tests": 20, "effect": -0.4, "spread": 0.01, "baselines": ("careful",)}
 
 
 @pytest.fixture(scope="module")

@@ -43,7 +43,7 @@ def episodes(
     pairs: Sequence[str] = (REGISTERED,),
 ) -> pd.DataFrame:
     """Tests of five agents an arm and of what they do together, in the lightest and densest setting of every task."""
-    random, rows = np.random.default_rng(1), []
+    random, drivers, crashed = np.random.default_rng(1), [], []
     for task, level_name in ENDS:
         is_light = level_name == GRID[task][0]
         luck = random.uniform(size=(2, scenarios))
@@ -54,12 +54,14 @@ def episodes(
             mixed = np.where(
                 random.uniform(size=scenarios) < 0.5, luck[number], random.uniform(size=scenarios)
             )
-            table = pd.DataFrame({"scenario": np.arange(scenarios), "crashed": (mixed < own[number]) * 1.0})
+            crashed.append((mixed < own[number]) * 1.0)
             about = {"arm": arm, "seed": 300 + k, "traffic": traffic, "task": task, "level_name": level_name}
             about |= {"level": GRID[task].index(level_name) + 1, "kind": "test" if arm in PAIRS else "agent"}
-            rows.append(table.assign(**about, mean_speed=speed if arm in PAIRS else 20.0))
-    frame = pd.concat(rows, ignore_index=True).astype({"seed": "Int64"})
-    return frame.assign(backend="sumo", tested_on="sumo", **{"return": 1.0})
+            drivers.append({**about, "mean_speed": speed if arm in PAIRS else 20.0})
+    frame = pd.DataFrame(drivers).astype({"seed": "Int64"}).assign(backend="sumo", tested_on="sumo")
+    frame = frame.loc[frame.index.repeat(scenarios)].reset_index(drop=True)
+    numbers = np.tile(np.arange(scenarios), len(drivers))
+    return frame.assign(scenario=numbers, crashed=np.concatenate(crashed), **{"return": 1.0})
 
 
 @pytest.fixture(scope="module")

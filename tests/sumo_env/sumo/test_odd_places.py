@@ -137,11 +137,10 @@ GYMNASIUM = """
 @pytest.mark.parametrize(
     ("start_method", "makes"),
     [
-        ("fork", STABLE),
-        ("spawn", GYMNASIUM),  # no torch in every process
-        *(pytest.param(method, STABLE, marks=pytest.mark.long) for method in ("spawn", "forkserver")),
+        *((method, GYMNASIUM) for method in ("fork", "spawn")),  # no torch in every process
+        *(pytest.param(method, STABLE, marks=pytest.mark.long) for method in ("fork", "spawn", "forkserver")),
     ],
-    ids=["fork", "spawn", "spawn-stable", "forkserver"],
+    ids=["fork", "spawn", "fork-stable", "spawn-stable", "forkserver-stable"],
 )
 def test_subprocesses_after_the_parent_has_used_sumo(tmp_path: Path, start_method: str, makes: str) -> None:
     """Only multiprocessing's own start methods need a guard and a file; a notebook has none. No file is left."""

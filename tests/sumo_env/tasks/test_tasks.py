@@ -63,7 +63,7 @@ def assert_same_judgement(step: Step) -> None:
 def test_equal_throughout_episodes(task: str, risk: float) -> None:
     ended = False
     env = make(task, risk=risk)
-    for step in episodes(env, range(10, 16) if task != "highway" else range(10, 13)):
+    for step in episodes(env, range(13, 16) if task == "intersection" else range(11, 14)):
         if step.action is not None:
             assert_same_judgement(step)
             time = env.steps / env.config["simulation_frequency"]

@@ -17,21 +17,11 @@ from types import ModuleType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-# Other people's packages that are slow to import; not those that register environments when they are imported.
+# Other people's packages that are slow to import (torch._dynamo with the first optimizer); not those that register environments when they are imported.
 SLOW = [
-    "gymnasium",
-    "torch",
-    "torch._dynamo",
-    "pandas",
-    "pyarrow.parquet",
-    "scipy.stats",
-    "matplotlib.figure",
-    "stable_baselines3",
-    "numba",
-    "tyro",
-    "jinja2",
-    "PIL.Image",
-]  # fmt: skip; the first optimizer of a process imports torch._dynamo
+    "gymnasium", "torch", "torch._dynamo", "pandas", "pyarrow.parquet", "scipy.stats", "matplotlib.figure",
+    "stable_baselines3", "numba", "tyro", "jinja2", "PIL.Image",
+]  # fmt: skip
 
 
 def variables(own: dict[str, str]) -> dict[str, str]:

@@ -40,7 +40,7 @@ def plain_json(value: Any, digits: int = 17) -> Any:
         return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     if value is None or isinstance(value, str | int):
         return value
-    from pandas import NA  # late: a process that only computes cells' neighbours starts in half of the time
+    from pandas import NA  # late: importing pandas takes a worker as long as all else
 
     return None if value is NA else value
 

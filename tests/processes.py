@@ -17,7 +17,8 @@ from types import ModuleType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-# Other people's packages that are slow to import (torch._dynamo with the first optimizer); not those that register environments when they are imported.
+# Other people's packages that are slow to import, torch._dynamo with the first optimizer; not those that register
+# environments when they are imported.
 SLOW = [
     "gymnasium", "torch", "torch._dynamo", "pandas", "pyarrow.parquet", "scipy.stats", "matplotlib.figure",
     "stable_baselines3", "numba", "tyro", "jinja2", "PIL.Image",

@@ -59,9 +59,12 @@ def interpreter() -> str:
     Raises:
         SimulatorError: there is none.
     """
-    from multiprocessing.spawn import get_executable  # late: a worker does not need it
-
-    chosen = os.fsdecode(get_executable() or "")
+    try:
+        from multiprocessing.spawn import get_executable  # late: a worker does not need it
+    except TypeError:  # Python 3.11.2 where sys.executable is None
+        chosen = ""
+    else:
+        chosen = os.fsdecode(get_executable() or "")
     is_python = chosen != sys.executable or "python" in os.path.basename(chosen)
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     found = chosen if is_python and chosen else os.path.join(sys.exec_prefix, "bin", version)

@@ -31,7 +31,6 @@ from sumo_env.networks.mapping import Network, network
 
 IMAGES = ROOT / "docs" / "img"
 
-# -- networks ---------------------------------------------------------------------------------------------------------
 
 Window = tuple[float, float, float, float]
 # task -> windows (x from, x to, y from, y to) [m], highway-env's coordinates; the second one is a close-up
@@ -110,8 +109,6 @@ def networks() -> None:
         figure.savefig(IMAGES / "networks" / f"{task}.png", dpi=110, metadata={"Software": None})
         plt.close(figure)
 
-
-# -- contacts ---------------------------------------------------------------------------------------------------------
 
 EGO, OTHER, AXIS = "#0072b2", "#d55e00", "#555555"
 

@@ -36,9 +36,6 @@ TEMPLATES = ROOT / "docs" / "templates"
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
-# -- numbers -----------------------------------------------------------------------------------------------------------
-
-
 def verdict() -> dict[str, dict[str, Any]]:
     """What the validation came to: by task of the study, the numbers of checks and those that are missed."""
     found = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
@@ -160,8 +157,6 @@ def _markdown(frame: pd.DataFrame) -> str:
     cells = [list(frame.columns), ["---"] * len(frame.columns), *frame.fillna("").astype(str).values]
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
-
-# -- pages -------------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: list[Callable[..., Any]] = [
     *(

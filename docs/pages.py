@@ -128,7 +128,7 @@ def share(what: str, setting: str, arm: str) -> float:
 
 
 def pays(task: str) -> str:
-    """From how many risk events per vehicle-hour on treated agents crash less: break-even, or the lowest decided rate."""
+    """From how many risk events per vehicle-hour on treated agents crash less: the break-even, or the first decided."""
     found = json.loads((ROOT / "results" / "study" / BREAK_EVEN / f"{BREAK_EVEN}.json").read_text())
     answer, hours = found["break_even"][task], found["events_per_hour_at_rate_1"][task]
     rate = hours * (answer["rate"] or answer["less"][0])

@@ -193,7 +193,7 @@ def test_default_config_is_a_class_method_or_a_method() -> None:
 
 
 def test_keys_that_default_config_leaves_out_are_the_tasks() -> None:
-    for task, own in dict(zip(OF_HIGHWAY_ENV, CLASSES, strict=True)).items():
+    for task, own in zip(OF_HIGHWAY_ENV, CLASSES, strict=True):
         mine = type("Mine", (own,), {"default_config": lambda _: {"duration": 7}})()
         assert mine.config == {**DrivingEnv(task).config, "duration": 7}
 

@@ -31,8 +31,8 @@ $(STAMP): pyproject.toml requirements.lock
 sweep: setup
 	$(BIN)/python experiments/sweep.py $(ARGS)
 
-# The study's analysis, report and pages again, from the stored test episodes. results/study/PUBLISHED.md has the commands
-# that train its agents again, results/FROZEN.md the commits of earlier studies.
+# The study's analysis, report and pages again, from the stored test episodes. results/study/README.md has the command
+# that trains its agents again, results/FROZEN.md the commits of earlier studies.
 results: setup
 	$(BIN)/python experiments/report.py results/study
 	$(BIN)/python docs/pages.py

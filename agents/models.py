@@ -91,9 +91,13 @@ class EgoAttention(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Q-values (batch, actions) of observations (batch, vehicles, features)."""
+        return self.decision(self.seen(x))
+
+    def seen(self, x: Tensor) -> Tensor:
+        """What the decision is made of (batch, width): the mean of the ego's code and of the attention's answer."""
         ego, vehicles, weights = self._attend(x)
         answer = self.output((weights @ vehicles).flatten(1))
-        return self.decision((answer + ego) / 2)
+        return (answer + ego) / 2
 
     def _attend(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The ego's code, those of all vehicles, and the weights of each of them (batch, heads, vehicles)."""

@@ -14,6 +14,7 @@ from torch import nn
 from agents.episodes import Episodes
 from agents.greedy import Greedy
 from agents.learner import MakeEnv, Trained, check_numbers
+from agents.models import EgoAttention
 
 LEARNERS_OWN = {"steps", "hidden", "layers"}  # settings that are no arguments of the algorithm
 
@@ -68,6 +69,23 @@ class PPOSettings(Settings):
         """Gradient updates of a training."""
         rollouts = -(-self.steps // self.n_steps)
         return rollouts * self.n_epochs * -(-self.n_steps // self.batch_size)
+
+
+class Attention(nn.Module):
+    """The study's attention before the layers of a policy of Stable-Baselines3: its ``features_extractor_class``.
+
+    What a policy sees does not depend on the order of the other vehicles.
+    """
+
+    def __init__(self, space: gym.spaces.Box, width: int = 64) -> None:
+        super().__init__()
+        self.features_dim = width  # Stable-Baselines3 asks for it
+        self.network = EgoAttention(space, 1, width)
+        self.network.decision.requires_grad_(False)  # the policy decides
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Features (batch, width) of observations (batch, vehicles, features)."""
+        return self.network.seen(x)
 
 
 class Logits(nn.Module):

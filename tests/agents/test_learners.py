@@ -11,9 +11,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import stable_baselines3
+import torch
 
 from agents.dqn import DQNConfig
 from agents.learners import LEARNERS
+from agents.sb3 import Attention
 from agents.streams import episode_seed
 from tests.experiments.fake_env import FakeEnv
 
@@ -83,6 +86,18 @@ def test_a_training_is_stored_and_begun_again_to_the_same_bits(name: str, tmp_pa
     if others:
         with pytest.raises(ValueError, match="another network"):
             LEARNERS[name].load(path, replace(small, **others), make_env())
+
+
+def test_attention_for_stable_baselines3_learns_is_stored_and_does_not_see_the_order(tmp_path: Path) -> None:
+    layers, env = {"features_extractor_class": Attention}, FakeEnv("u-turn", {"duration": 10})
+    model = stable_baselines3.DQN("MlpPolicy", env, seed=0, learning_starts=20, policy_kwargs=layers)
+    seen = torch.rand(9, 6, 5, generator=torch.Generator().manual_seed(0))
+    before = model.q_net(seen)
+    model.learn(60).save(tmp_path / "model")
+    after = stable_baselines3.DQN.load(tmp_path / "model").q_net(seen)
+    torch.testing.assert_close(model.q_net(seen), after)
+    assert (after - before).abs().min() > 0
+    torch.testing.assert_close(model.q_net(seen[:, [0, 3, 1, 4, 2, 5]]), after)
 
 
 def test_a_learner_names_the_packages_that_decide_its_bits() -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[0] = str(ROOT)
@@ -23,6 +22,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
+from sumolib.net import readNet
 
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
@@ -44,12 +44,8 @@ HEIGHTS = {"u-turn": 3.0}  # [inch]
 
 def shapes(net: Network) -> dict[str, np.ndarray]:
     """SUMO lane id -> points of its shape, (n, 2) [m], y down."""
-    lanes = ElementTree.parse(net.net_file).getroot().iter("lane")
-    return {
-        lane.attrib["id"]: np.array([point.split(",")[:2] for point in lane.attrib["shape"].split()], float)
-        * (1, -1)
-        for lane in lanes
-    }
+    edges = readNet(str(net.net_file), withInternal=True).getEdges()
+    return {lane.getID(): np.array(lane.getShape()) * (1, -1) for edge in edges for lane in edge.getLanes()}
 
 
 def band(line: np.ndarray) -> np.ndarray:

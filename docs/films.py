@@ -36,19 +36,16 @@ from sumo_env.env import DrivingEnv
 
 IMAGES = ROOT / "docs" / "img"
 
+WIDE = {"screen_width": 900}
 # task -> seed, steps driven, configuration
 PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
-    "highway": (0, 6, {"screen_width": 900, "screen_height": 130}),
-    "two-way": (0, 3, {"screen_width": 900, "screen_height": 90, "centering_position": [0.3, 0.6]}),
+    "highway": (0, 6, {**WIDE, "screen_height": 130}),
+    "two-way": (0, 3, {**WIDE, "screen_height": 90, "centering_position": [0.3, 0.6]}),
     "roundabout": (1, 3, {"scaling": 4.5}),
     "intersection": (2, 3, {}),
     "u-turn": (1, 3, {"scaling": 4.5, "centering_position": [0.35, 0.85]}),
-    "merge": (4, 7, {"screen_width": 900, "screen_height": 130, "centering_position": [0.4, 0.5]}),
-    "exit": (
-        3,
-        10,
-        {"screen_width": 900, "screen_height": 200, "scaling": 4.5, "centering_position": [0.4, 0.3]},
-    ),
+    "merge": (4, 7, {**WIDE, "screen_height": 130, "centering_position": [0.4, 0.5]}),
+    "exit": (3, 10, {**WIDE, "screen_height": 200, "scaling": 4.5, "centering_position": [0.4, 0.3]}),
 }
 SIZE = {"screen_width": 280, "screen_height": 200}
 # task -> configuration of its film

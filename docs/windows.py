@@ -1,6 +1,6 @@
 """Draws docs/img/windows: both windows on five tasks and on a network of one's own, on a display that nobody sees.
 
-python docs/windows.py          # needs Xvfb and a window manager (openbox), the extras [window] and [gui]
+xvfb-run -s "-screen 0 1280x900x24" python docs/windows.py      # needs openbox, the extras [window] and [gui]
 """
 
 from __future__ import annotations
@@ -61,19 +61,14 @@ def beside(pictures: list[Image.Image]) -> Image.Image:
 
 def main() -> None:
     """Both pictures."""
-    os.environ["DISPLAY"] = display = ":95"
     os.environ.pop("SDL_VIDEODRIVER", None)
     FOLDER.mkdir(exist_ok=True)
-    screen = ["Xvfb", display, "-screen", "0", "1280x900x24"]
-    with subprocess.Popen(screen, stderr=subprocess.DEVNULL) as server:
-        time.sleep(1)
-        with subprocess.Popen(["openbox"], stderr=subprocess.DEVNULL) as manager:
-            for kind in WINDOWS:
-                picture = beside([shot(name, kind) for name in STEPS])
-                small = picture.quantize(96, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-                small.save(FOLDER / f"{kind}.png", optimize=True)
-            manager.terminate()
-        server.terminate()
+    with subprocess.Popen(["openbox"], stderr=subprocess.DEVNULL) as manager:
+        for kind in WINDOWS:
+            picture = beside([shot(name, kind) for name in STEPS])
+            small = picture.quantize(96, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+            small.save(FOLDER / f"{kind}.png", optimize=True)
+        manager.terminate()
 
 
 if __name__ == "__main__":

@@ -15,9 +15,7 @@ parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.R
 parser.add_argument("--task", default="u-turn")
 parser.add_argument("--risk", type=float, default=0.0)
 parser.add_argument("--steps", type=int, default=50_000, help="environment steps")
-parser.add_argument(
-    "--envs", type=int, default=4, help="environments, each with SUMO in a process of its own"
-)
+parser.add_argument("--envs", type=int, default=4, help="environments, each with a SUMO process of its own")
 parser.add_argument("--rollout", type=int, default=64, help="steps of each environment between two updates")
 parser.add_argument("--seed", type=int, default=0)
 args = parser.parse_args()

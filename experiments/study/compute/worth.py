@@ -13,8 +13,8 @@ from experiments.study.design.training_rules import TrainingRules
 class Worth(gym.Wrapper[Any, Any, Any, Any]):
     """Notes, for each whole episode, the value of its first observation and the discounted sum of its rewards.
 
-    Rewards are those of the training. Where the time limit is no end to the values, the value of the last observation
-    is added, as in the learner's goals.
+    Rewards are those of the training. At the time limit the value of the last observation is added, as in the
+    learner's goals.
 
     Args:
         agent: that drives, a policy with Q-values. gamma: its discount.
@@ -39,7 +39,7 @@ class Worth(gym.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._got += self._discount * (float(reward) + self._rules.crash_reward * info["crashed"])
         self._discount *= self._gamma
-        if truncated and not terminated and not self._rules.finite_horizon:
+        if truncated and not terminated:
             self._got += self._discount * self._value(observation)
         if terminated or truncated:
             self._rows.append((self._expected, self._got))

@@ -66,7 +66,7 @@ class TrainingEnv(gym.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """A step, with the crash in its reward; at a terminal limit its truncation counts as termination."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        if self._rules.terminal:
+        if self._rules.training_clock:  # its end is no truncation: no bootstrapping
             terminated, truncated = terminated or truncated, False
         reward = float(reward) + self._rules.crash_reward * info["crashed"]
         return observation, reward, terminated, truncated, info
@@ -77,9 +77,9 @@ def observed(env: Env, rules: TrainingRules) -> Env:
     inner: Any = env.unwrapped
     if rules.dose_observed:
         env = Observed(env, lambda _: float(inner.config["risk"]))
-    # as a share of the episode, or of so many seconds in training and test alike
-    seconds = inner.config["duration"] if rules.finite_horizon else rules.time_observed
-    return TimeObserved(env, round(seconds * inner.config.get("policy_frequency", 1))) if seconds else env
+    if rules.time_observed is None:
+        return env
+    return TimeObserved(env, round(rules.time_observed * inner.config.get("policy_frequency", 1)))
 
 
 def believing(env: Env, pair: Mapping[str, Any]) -> Env:

@@ -11,13 +11,11 @@ from typing import Any
 class TrainingRules:
     """How training episodes end, what a crash costs in them, and what is observed in addition to the vehicles.
 
-    finite_horizon: the test's time limit is terminal, and the share of it that is over is observed. training_clock:
-    instead, episodes of so many seconds (the first, the second), whose end is terminal [s]; time_observed: the share of
-    so many seconds that is over is observed, in the test as well [s]. crash_reward: added to the reward of a crash.
-    dose_observed: the dose of risk is observed, in the test as well.
+    training_clock: episodes of so many seconds (the second number; the first is the same), whose end is terminal.
+    time_observed: the share of so many seconds that is over is observed, in the test as well [s]. crash_reward: added
+    to the reward of a crash. dose_observed: the dose of risk is observed, in the test as well.
     """
 
-    finite_horizon: bool = False
     training_clock: Sequence[int] | None = None
     time_observed: int | None = None
     crash_reward: float = 0.0
@@ -29,15 +27,10 @@ class TrainingRules:
         return cls(**{name: profile[name] for name in RULES if name in profile})
 
     def entries(self) -> dict[str, Any]:
-        """What a cell's profile has of them: the first always, as it has always had, the others where they are set."""
+        """What a cell's profile has of them where they are set, and an entry that the names of all agents contain."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         defaults = {field.name: field.default for field in fields(self)}
-        return {k: v for k, v in values.items() if k == "finite_horizon" or v != defaults[k]}
-
-    @property
-    def terminal(self) -> bool:
-        """Whether the time limit is terminal in training (no bootstrapping)."""
-        return bool(self.finite_horizon or self.training_clock)
+        return {"finite_horizon": False, **{k: v for k, v in values.items() if v != defaults[k]}}
 
     @property
     def duration(self) -> dict[str, int]:

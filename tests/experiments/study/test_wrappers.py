@@ -21,12 +21,12 @@ from experiments.study.design.training_rules import TrainingRules
 from sumo_env.env import DrivingEnv
 from tests.experiments.fake_env import FakeEnv, make_env
 
-FINITE, PLAIN = TrainingRules(finite_horizon=True), TrainingRules()
+PLAIN = TrainingRules()
 SLOWER = 4
 
 
 def test_the_time_is_a_column_of_the_ego() -> None:
-    env = observed(make_env("sumo", "u-turn"), FINITE)
+    env = observed(make_env("sumo", "u-turn"), TrainingRules(time_observed=10))
     plain = make_env("sumo", "u-turn")
     assert env.observation_space.shape == (2, 6)
     for episode in range(2):  # which begins at 0 again
@@ -42,8 +42,8 @@ def test_the_time_is_a_column_of_the_ego() -> None:
     assert truncated
 
 
-@pytest.mark.parametrize("rules", [FINITE, TrainingRules(training_clock=[10, 10])])
-def test_the_limit_is_terminal_in_training_and_truncates_in_the_test(rules: TrainingRules) -> None:
+def test_the_limit_is_terminal_in_training_and_truncates_in_the_test() -> None:
+    rules = TrainingRules(training_clock=[10, 10])
     test = observed(make_env("sumo", "u-turn"), rules)
     ends = []
     for env in (TrainingEnv(test, rules, ALL["regular"], 0), test):
@@ -161,14 +161,13 @@ def driven(rules: TrainingRules) -> tuple[Worth, Kept]:
     return worth, env
 
 
-@pytest.mark.parametrize("rules", [TrainingRules(), TrainingRules(finite_horizon=True)])
-def test_what_an_agent_gets_is_the_discounted_sum_and_what_it_still_expects_at_the_limit(rules) -> None:
-    worth, env = driven(rules)
+def test_what_an_agent_gets_is_the_discounted_sum_and_what_it_still_expects_at_the_limit() -> None:
+    worth, env = driven(PLAIN)
     ends = [crashed[-1] for _, crashed in env.kept]
     assert any(ends) and not all(ends)
     got = [
         sum(GAMMA**k * r for k, r in enumerate(rewards))
-        + (0.0 if end or rules.finite_horizon else GAMMA ** len(rewards) * 3.0)
+        + (0.0 if end else GAMMA ** len(rewards) * 3.0)
         for (rewards, _), end in zip(env.kept, ends, strict=True)
     ]
     record = worth.record()

@@ -6,8 +6,8 @@
     python experiments/replay.py CASE --sumo      # a folder with episode.sumocfg, for sumo and sumo-gui
     python experiments/replay.py CASE --avoid     # until when could its crash have been avoided, and a film of both
 
-Where an episode is stored with its actions, these are played: this checks the simulator, and not the agent. --policy
-drives the agent from its weights (in the folder, or published in agents.npz) and compares its actions too.
+The stored actions are played: this checks the simulator, and not the agent. --policy drives the agent from its weights
+(in the folder, or published in agents.npz) and compares its actions too.
 
 --avoid tries every sequence of --horizon actions from each policy step before the contact, in copies of the episode
 with its own future: an upper bound of what a driver could do. Avoided means no contact for 5 s, or until the episode
@@ -65,8 +65,7 @@ class Options:
     avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Search for actions that would have avoided the crash; writes DIR/CELL-TRAFFIC-SCENARIO-avoided.gif."""
     code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME", help_behavior_hint="")] = None
-    """The cell's own policy, network or learner, for episodes that are stored without their actions; code is run only
-    where you name it."""
+    """The cell's own policy, network or learner, for --policy; code is run only where you name it."""
     horizon: int = HORIZON
     """Policy steps in which --avoid tries all sequences of actions."""
 
@@ -133,11 +132,8 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
         changed = ", ".join(changed_versions(case.record)) or "no version"
         print(f"error: not reproduced: {'; '.join(wrong)}; since then changed: {changed}", file=sys.stderr)
         return 1
-    stored = isinstance(case.row.get("actions"), str)
-    if options.policy and stored:
+    if options.policy:
         print("reproduced: the agent chose the stored actions, and every stored number came out the same")
-    elif options.policy or not stored:
-        print("reproduced: every stored number came out the same")
     else:
         print(
             "reproduced from the stored actions: every number came out the same (--policy drives the agent itself)"

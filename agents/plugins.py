@@ -58,8 +58,7 @@ def named(kind: str, name: str, known: Mapping[str, T]) -> T:
         return known[name]
     if ":" not in name:
         raise unknown(kind, name, [*known, "FILE:NAME"])
-    own: T = load_object(name)
-    return own
+    return load_object(name)
 
 
 def load_object(name: str) -> Any:

@@ -48,8 +48,7 @@ def as_policy(found: Any, whose: str) -> Policy:
         inspect.signature(found.reset).bind(0)
     except (AttributeError, TypeError, ValueError):
         return Seedless(found)
-    policy: Policy = found
-    return policy
+    return found
 
 
 class StableBaselines:

@@ -98,10 +98,8 @@ class Logits(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Q-values, or logits of the actions."""
         if hasattr(self.policy, "q_net"):
-            values: torch.Tensor = self.policy.q_net(x)
-            return values
-        logits: torch.Tensor = self.policy.get_distribution(x).distribution.logits
-        return logits
+            return self.policy.q_net(x)
+        return self.policy.get_distribution(x).distribution.logits
 
 
 class Unseeded(Episodes):

@@ -173,8 +173,7 @@ def slope_weights(rows: pd.DataFrame, by: Sequence[str]) -> pd.Series:
 
 def equivalence(found: Estimate | pd.DataFrame, margin: float) -> NDArray[np.float64]:
     """p-values of "the arms differ by margin or more" (two one-sided tests); NaN without an interval."""
-    p: NDArray[np.float64] = stats.t.sf((margin - abs(found.estimate)) / found.se, found.df)
-    return p
+    return stats.t.sf((margin - abs(found.estimate)) / found.se, found.df)
 
 
 def adjusted(p_values: ArrayLike, method: str = "holm") -> NDArray[np.float64]:

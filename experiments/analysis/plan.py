@@ -202,5 +202,4 @@ def as_data(plan: Plan, thresholds: dict[str, Any]) -> dict[str, Any]:
         "terms": TERMS,
         "thresholds": thresholds,
     }
-    plain: dict[str, Any] = json.loads(json.dumps(data))  # as it is read back from analysis.json
-    return plain
+    return json.loads(json.dumps(data))  # as it is read back from analysis.json

@@ -129,8 +129,7 @@ class ScenarioEnv(AbstractEnv):
                 f"reset's options on highway-env are 'config', 'risk_rates' and 'risk_ranges', not {options!r}"
             )
         self._drawn_by = self.task.varied(varied)
-        result: tuple[np.ndarray, dict[str, Any]] = super().reset(seed=seed, options={"config": config})
-        return result
+        return super().reset(seed=seed, options={"config": config})
 
     def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """highway-env's step, with the ``info`` of `sumo_env.env.DrivingEnv.step`."""

@@ -255,8 +255,7 @@ def scorecard(table: pd.DataFrame, by_interval: bool = False) -> list[Check]:
         for (task, traffic, level), rows in table.groupby(["task", "traffic", "level"])
         for item in level_checks(rows, task, traffic, by_interval)
     )
-    rows: list[Check] = json.loads(found.to_json(orient="records"))  # no number is null
-    return rows
+    return json.loads(found.to_json(orient="records"))  # no number is null
 
 
 def summary(checks: Sequence[Check], tasks: Iterable[str]) -> dict[str, Any]:

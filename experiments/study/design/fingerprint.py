@@ -47,8 +47,7 @@ Behaviour = dict[str, str]  # numbers, with spaces between them, by what they ar
 
 def _table() -> dict[str, dict[str, dict[str, Any]]]:
     """`name` and `behaviour` by backend and task, and by LEARNERS and learner."""
-    table: dict[str, dict[str, dict[str, Any]]] = read_json(TABLE)
-    return table
+    return read_json(TABLE)
 
 
 def _digits(found: Behaviour) -> str:
@@ -195,8 +194,7 @@ def learnt(settings: Mapping[str, Any]) -> Behaviour:
 
 def learner_name(policy: str, profile: Mapping[str, Any]) -> str:
     """The digits that agents of a learner are named with; empty for the first one, and for others'."""
-    name: str = _table().get(LEARNERS, {}).get(kind_of(policy, profile), {}).get("name", "")
-    return name
+    return _table().get(LEARNERS, {}).get(kind_of(policy, profile), {}).get("name", "")
 
 
 def check_learners(agents: Iterable[tuple[str, Mapping[str, Any]]]) -> None:

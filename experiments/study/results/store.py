@@ -97,8 +97,7 @@ class Store:
 
     def record(self, name: str) -> dict[str, Any]:
         """The record of a finished cell. Raises DamagedCell; DamagedPart; KeyError without one."""
-        found: dict[str, Any] = self._find(name, "records")
-        return found
+        return self._find(name, "records")
 
     def records(self) -> dict[str, dict[str, Any]]:
         """The records of all finished cells by name. Raises as `record` does."""
@@ -115,8 +114,7 @@ class Store:
 
     def tables(self, name: str) -> dict[str, pd.DataFrame]:
         """EPISODES and, of a cell that is judged, GATES. Raises as `record` does."""
-        found: dict[str, pd.DataFrame] = self._find(name, "frames")
-        return found
+        return self._find(name, "frames")
 
     def training(self, name: str) -> pd.DataFrame:
         """An agent's training episodes. Raises DamagedCell; KeyError where they are not kept."""

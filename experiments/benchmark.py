@@ -35,7 +35,6 @@ import pandas as pd
 from experiments.backends import make_env
 from experiments.study.design.levels import choose_tasks
 from experiments.study.design.options import TaskNames
-from experiments.study.design.sheet import GRID
 from experiments.support.arguments import command
 from experiments.support.errors import writing
 from experiments.support.files import write_json
@@ -236,7 +235,7 @@ class Options:
 def run(options: Options) -> dict[str, Any]:
     """Measure what is asked for, print it, and write benchmark.json after every part; returns its content."""
     effort = (QUICK_TURNS, QUICK_SECONDS) if options.quick else (TURNS, SECONDS)
-    tasks = choose_tasks(options.tasks or tuple(GRID))
+    tasks = choose_tasks(options.tasks)
     results: dict[str, Any] = {
         "schema": SCHEMA,
         "quick": options.quick,

@@ -30,7 +30,6 @@ import tyro
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import choose_levels, choose_tasks
 from experiments.study.design.options import TaskNames
-from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import STORED, versions
 from experiments.support.arguments import command
@@ -86,8 +85,8 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     """
     if options.update and (options.quick or options.levels):
         raise UserError("--update stores what is said of whole tasks: leave out --quick and --levels")
-    tasks = choose_tasks(options.tasks or tuple(GRID))
-    levels = choose_levels(tasks, options.levels or None)
+    tasks = choose_tasks(options.tasks)
+    levels = choose_levels(tasks, options.levels)
     scenarios = min(options.scenarios, QUICK_SCENARIOS) if options.quick else options.scenarios
     check_dynamics((backend, task) for backend in ("sumo", "replica") for task in tasks)
     work = episodes.plan(engines(options), levels, tuple(TRAFFICS), range(scenarios))

@@ -16,7 +16,6 @@ from experiments.study.design.cell import LEARNER, Cell
 from experiments.study.design.estimators import digest
 from experiments.study.design.fingerprint import dynamics, learner_name
 from experiments.study.design.levels import choose_levels, choose_tasks, env_config, level_names
-from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.study.design.training_rules import RULES, TrainingRules
 from experiments.support.errors import UserError, check_known, in_words
@@ -81,8 +80,8 @@ class Experiment:
             UserError: something does not exist or makes no sense.
         """
         check_known("backend", (self.backend, *self.test_on), BACKENDS)
-        tasks = choose_tasks(self.tasks or tuple(GRID))
-        levels = choose_levels(tasks, self.levels or None)
+        tasks = choose_tasks(self.tasks)
+        levels = choose_levels(tasks, self.levels)
         policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
         check_known("driver", self.drivers, DRIVERS)
         rules = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))

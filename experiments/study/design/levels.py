@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from experiments.study.design.sheet import sheet
+from experiments.study.design.sheet import GRID, sheet
 from experiments.support.errors import UserError, check_known, unknown
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
@@ -49,22 +49,23 @@ def env_config(
 
 
 def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
-    """The wanted tasks in the grid's order. Raises UserError for a task that does not exist or has no sheet."""
+    """The wanted tasks, or those of the study, in the order of TASKS. Raises UserError for one without a sheet."""
+    wanted = wanted or tuple(GRID)
     check_known("task", wanted, TASKS)
     for task in wanted:
         sheet(task)
     return tuple(task for task in TASKS if task in wanted)
 
 
-def choose_levels(tasks: Sequence[str], wanted: Sequence[int] | None) -> dict[str, tuple[int, ...]]:
+def choose_levels(tasks: Sequence[str], wanted: Sequence[int]) -> dict[str, tuple[int, ...]]:
     """Level numbers of each task: the wanted ones that it has, or all.
 
     Raises:
         UserError: a level that none of the tasks has.
     """
     known = {task: range(1, len(level_names(task)) + 1) for task in tasks}
-    for level in wanted or ():
+    for level in wanted:
         if not any(level in numbers for numbers in known.values()):
             raise unknown("level", level, range(1, 1 + max(map(len, known.values()))))
-    chosen = {task: tuple(n for n in known[task] if wanted is None or n in wanted) for task in tasks}
+    chosen = {task: tuple(n for n in known[task] if not wanted or n in wanted) for task in tasks}
     return {task: numbers for task, numbers in chosen.items() if numbers}

@@ -70,7 +70,7 @@ class Careful(Rules):
         way = self._way(view.speed)
         price = self._price(view, way)
         gain = way[:, len(TIMES) - 1 - round(SPAN / STEP)] - price
-        possible = np.array([side == 0 or self._memory.known[side] for side in self._sides])
+        possible = np.array([side == 0 or self._lanes[side] for side in self._sides])
         if self._action is None:  # nothing is known yet about how the others move
             possible &= np.isin(self._first, ("IDLE", "SLOWER"))
         if price[possible].min() > UNSAFE:

@@ -33,7 +33,7 @@ class IDM(Rules):
         gains = {
             name: self._behind(view, along, across, side) - own
             for name, side in SIDES.items()
-            if name in self._numbers and self._memory.known[side] and self._is_safe(view, along, across, side)
+            if name in self._numbers and self._lanes[side] and self._is_safe(view, along, across, side)
         }
         best = max(gains, key=gains.__getitem__, default=None)
         if best is not None and gains[best] > GAIN:

@@ -120,27 +120,6 @@ class Perception:
         return low + (rows[:, [self._columns[name] for name in names]] + 1) / 2 * (high - low)
 
 
-class LaneMemory:
-    """Which lanes there are beside the ego's, as far as it knows; `known`: side (-1 left, 1 right) -> is there one."""
-
-    def __init__(self) -> None:
-        self.known = {-1: False, 1: False}
-
-    def learn(self, view: View, action: str | None) -> None:
-        """A lane is known once somebody was seen on it, or the ego came from it; not if the ego failed to reach it.
-
-        action: the name of the ego's last meta-action.
-        """
-        if action in SIDES:
-            side = SIDES[action]
-            arrived = side * view.sideways > 0.4 * LANE_WIDTH
-            self.known = {side: False, -side: arrived or self.known[-side]}
-        parallel = (np.abs(np.sin(view.headings)) < 0.2) & (np.abs(view.positions[:, 0]) < 100)
-        for side in (-1, 1):
-            beside = np.abs(view.positions[:, 1] - side * LANE_WIDTH) < 1.0
-            self.known[side] = self.known[side] or bool((parallel & beside).any())
-
-
 class Rules:
     """A driver by rules: what it sees, and what it remembers; `decide` is its rule, which draws nothing at random.
 
@@ -159,15 +138,26 @@ class Rules:
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode: forget what was seen."""
         self._perception.reset()
-        self._memory = LaneMemory()
+        self._lanes = {-1: False, 1: False}  # whether one is known on this side, left or right
         self._action: str | None = None
 
     def act(self, observation: np.ndarray) -> int:
         """The action that the rule decides for."""
         view = self._perception.look(observation, self._action in SIDES)
-        self._memory.learn(view, self._action)
+        self._learn_lanes(view)
         self._action = self.decide(view)
         return self._numbers[self._action]
+
+    def _learn_lanes(self, view: View) -> None:
+        """A lane is known once somebody was seen on it, or the ego came from it; not if the ego failed to reach it."""
+        if self._action in SIDES:
+            side = SIDES[self._action]
+            arrived = side * view.sideways > 0.4 * LANE_WIDTH
+            self._lanes = {side: False, -side: arrived or self._lanes[-side]}
+        parallel = (np.abs(np.sin(view.headings)) < 0.2) & (np.abs(view.positions[:, 0]) < 100)
+        for side in (-1, 1):
+            beside = np.abs(view.positions[:, 1] - side * LANE_WIDTH) < 1.0
+            self._lanes[side] = self._lanes[side] or bool((parallel & beside).any())
 
     def decide(self, view: View) -> str:
         """The name of the next meta-action; `self._action` is that of the last one, None at the start."""

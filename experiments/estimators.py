@@ -136,9 +136,8 @@ def train(task: str, level: int) -> dict[str, Any]:
     read, others, there, risk = collect(task, level, range(number, number + HELD_OUT))
     with torch.inference_mode():
         logits = estimator(torch.from_numpy(read), torch.from_numpy(others))[0].numpy()
-    last = np.maximum.accumulate(
-        np.where(there > 0, np.arange(there.shape[1]), 0), axis=1
-    )  # stays once it is over
+    # stays once it is over
+    last = np.maximum.accumulate(np.where(there > 0, np.arange(there.shape[1]), 0), axis=1)
     estimator.traces = torch.from_numpy(logits).take_along_dim(torch.from_numpy(last), 1).sigmoid()
     estimator.save(file)
     row = {"setting": name, "episodes": 2 * number, "held_out": 2 * HELD_OUT, **judged(logits, there, risk)}

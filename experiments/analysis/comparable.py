@@ -113,9 +113,8 @@ def unfinished(results: Results, chosen: Results) -> dict[str, str]:
     Settings are named as in `cell.setting`; those that no sweep has asked for are not named.
     """
     asked: dict[str, list[str]] = {}
-    for name in dict.fromkeys(
-        (*results.expected, *results.cells)
-    ):  # of some of them nothing but their names is there
+    # of some of them nothing but their names is there
+    for name in dict.fromkeys((*results.expected, *results.cells)):
         if setting := setting_of_agent(name):
             asked.setdefault(setting, []).append(name)
     lacking = {part: sum(name not in chosen.cells for name in names) for part, names in asked.items()}

@@ -70,9 +70,8 @@ def contrasts(
         if outcome in by_name[arm]
     ]
     columns = [*KEY, "estimate", *MEANS, *WORKING_COLUMNS, "saturated"]
-    frame = pd.DataFrame(rows, columns=columns).astype(
-        TYPES
-    )  # also without a row, or others would take its types
+    # also without a row, or others would take its types
+    frame = pd.DataFrame(rows, columns=columns).astype(TYPES)
     frame = estimate.with_intervals(frame)
     frame.loc[frame["saturated"].astype(bool), ESTIMATE[1:]] = [*[np.nan] * 5, SATURATED]
     return frame[[*KEY, *ESTIMATE, *MEANS, *WORKING_COLUMNS]]

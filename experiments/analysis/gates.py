@@ -83,9 +83,8 @@ def _goals_inside(learner: Mapping[str, Any]) -> bool | None:
     if not (rows := learner.get("goals_clipped")):
         return None
     updates, shares = np.array(rows, float).T
-    goals = np.diff(updates, prepend=0) * (
-        updates > 0.75 * updates[-1]
-    )  # rows of the last quarter, by their length
+    # rows of the last quarter, by their length
+    goals = np.diff(updates, prepend=0) * (updates > 0.75 * updates[-1])
     return bool(goals @ shares / goals.sum() < CLIPPED)
 
 

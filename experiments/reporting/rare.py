@@ -58,9 +58,8 @@ def rare_figure(curve: pd.DataFrame, title: str) -> str:
 
 
 # Events per vehicle and hour of driving on roads.
-MILES_PER_HOUR = (
-    2.0e6 / 43_000
-)  # of the 100-Car study: 2,000,000 vehicle miles in 43,000 hours (Neale et al. 2005)
+# Of the 100-Car study: 2,000,000 vehicle miles in 43,000 hours (Neale et al. 2005).
+MILES_PER_HOUR = 2.0e6 / 43_000
 ROADS = {
     # SHRP 2, drivers of 35 to 54 years: 37.3 in a million miles (Traffic Inj. Prev. 19 S1, 2018, S89 [abstract])
     "near-crashes": 37.3e-6 * MILES_PER_HOUR,

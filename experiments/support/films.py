@@ -94,9 +94,8 @@ def save_film(pictures: Pictures, file: Path) -> None:
     except ImportError:
         raise UserError("an .mp4 needs moviepy: pip install moviepy (a .gif does not)") from None
     width, height = pictures[0].size
-    even = [
-        picture.crop((0, 0, width // 2 * 2, height // 2 * 2)) for picture in pictures
-    ]  # as H.264 asks for
+    # as H.264 asks for
+    even = [picture.crop((0, 0, width // 2 * 2, height // 2 * 2)) for picture in pictures]
     frames = [np.asarray(picture) for picture in even + even[-1:] * HOLD]
     file.unlink(missing_ok=True)  # a link in its place is not followed
     ImageSequenceClip(frames, fps=FREQUENCY).write_videofile(str(file), logger=None)

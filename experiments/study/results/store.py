@@ -26,12 +26,7 @@ from agents.schema import check
 from experiments.study.design.cell import RESULT_SCHEMA, Cell, setting
 from experiments.study.results import parquet
 from experiments.study.results.parquet import DamagedCell, DamagedPart, asked_of
-from experiments.study.results.schema import (
-    PURPOSES,
-    TRAINING,
-    WEIGHTS,
-    table_of,
-)
+from experiments.study.results.schema import PURPOSES, TRAINING, WEIGHTS, table_of
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
 from experiments.support.files import (
@@ -47,10 +42,8 @@ from experiments.support.files import (
 from sumo_env.config import did_you_mean
 
 SWEEPS = "sweep.json"
-BESIDE = {
-    TRAINING: ("training", ".parquet"),
-    WEIGHTS: ("weights", ".npz"),
-}  # where an agent's other files lie
+# Where an agent's other files lie.
+BESIDE = {TRAINING: ("training", ".parquet"), WEIGHTS: ("weights", ".npz")}
 
 
 class Store:
@@ -70,9 +63,8 @@ class Store:
 
     def finished(self) -> list[str]:
         """Names of all finished cells in alphabetical order."""
-        own = [
-            path.stem for path in self.cells.glob("*.parquet")
-        ]  # first: packing moves cells from here to parts
+        # first: packing moves cells from here to parts
+        own = [path.stem for path in self.cells.glob("*.parquet")]
         return sorted({*own, *self._packed()})
 
     def _own(self, name: str) -> Path:

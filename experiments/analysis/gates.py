@@ -147,8 +147,6 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
             {policy: others[policy]["return"] for policy in CONSTANT_POLICIES if policy in others}
         )
         for name, seed in alike["seed"].items():
-            if not {*traffics} <= {*tables[name].index.unique("traffic")}:
-                continue
             own, record = tables[name].loc[traffics], cells[name].get("learner") or {}
             found = [
                 _q_bounded(record),

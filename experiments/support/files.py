@@ -26,7 +26,7 @@ def canonical_json(value: Any) -> str:
 
 
 def plain_json(value: Any, digits: int = 17) -> Any:
-    """A value as strict JSON has it: a number that is not finite, or missing, is None, and text is the key of a dict.
+    """A value as strict JSON has it: a number that is not finite is None, and text is the key of a dict.
 
     digits: significant ones that a float keeps; 17 are all.
     """
@@ -38,11 +38,7 @@ def plain_json(value: Any, digits: int = 17) -> Any:
         value = value.item()
     if isinstance(value, float):
         return float(f"{value:.{digits}g}") if math.isfinite(value) else None
-    if value is None or isinstance(value, str | int):
-        return value
-    from pandas import NA  # late: importing pandas takes a worker as long as all else
-
-    return None if value is NA else value
+    return value
 
 
 def sha256_bytes(data: bytes) -> str:

@@ -113,12 +113,12 @@ class CellTask:
         if cell.test_on is not None:
             return {EPISODES: episodes}
         judged: Any = seen
-        if has_values := "probe_q" in record and cell.gate_episodes > 0:
+        if has_values := "probe_q" in record:
             judged = Worth(seen, policy, learner_of(cell.key(), cell.source)[1].gamma, cell.rules)
         gates = table(judged, "gate", gate_traffics(cell.arm), cell.gate_episodes)
         if has_values:
             record["values"] = judged.record()
-        return {EPISODES: episodes, GATES: gates} if len(gates) else {EPISODES: episodes}
+        return {EPISODES: episodes, GATES: gates}
 
     def _weights(self) -> list[Path]:
         """Those that are tested; none for a policy that is not trained."""

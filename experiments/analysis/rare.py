@@ -86,15 +86,11 @@ def curve(episodes: pd.DataFrame, rates: Sequence[float]) -> pd.DataFrame:
         weight = weights(episodes, rate)
         found: dict[str, Any] = {"rate": rate}
         for name, per in (("episode", 1.0), ("100_km", episodes["km"].to_numpy() / 100.0)):
-            parts = (
-                estimate(strata, weight, by_events, ~free, per),
-                estimate(strata, weight, without, free, per),
-            )
-            found |= {f"by_events_per_{name}{end}": value for end, value in zip(ENDS, parts[0], strict=True)}
-            found |= {f"without_per_{name}{end}": value for end, value in zip(ENDS, parts[1], strict=True)}
-            found |= {
-                f"crashes_per_{name}{end}": value for end, value in zip(ENDS, _sum(*parts), strict=True)
-            }
+            events = estimate(strata, weight, by_events, ~free, per)
+            others = estimate(strata, weight, without, free, per)
+            parts = {"by_events": events, "without": others, "crashes": _sum(events, others)}
+            for of, part in parts.items():
+                found |= {f"{of}_per_{name}{end}": value for end, value in zip(ENDS, part, strict=True)}
         of_events = weight[by_events]
         found |= {
             "crashes_by_events": int(by_events.sum()),

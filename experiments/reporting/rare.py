@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pandas as pd
-from matplotlib.lines import Line2D
 
 from experiments.analysis.break_even import BreakEven
+from experiments.analysis.rare import ENDS
 from experiments.reporting.figures import (
     CAREFUL,
     COLOURS,
@@ -57,15 +57,14 @@ def rare_figure(curve: pd.DataFrame, title: str) -> str:
     return to_svg(figure, "rare", f"Crashes per episode against the rate of risk events: {title}.")
 
 
-# Events per vehicle and hour of driving on roads.
 # Of the 100-Car study: 2,000,000 vehicle miles in 43,000 hours (Neale et al. 2005).
 MILES_PER_HOUR = 2.0e6 / 43_000
-ROADS = {
+ROADS = {  # events per vehicle and hour of driving, and how their line is drawn
     # SHRP 2, drivers of 35 to 54 years: 37.3 in a million miles (Traffic Inj. Prev. 19 S1, 2018, S89 [abstract])
-    "near-crashes": 37.3e-6 * MILES_PER_HOUR,
+    "near-crashes": (37.3e-6 * MILES_PER_HOUR, ":"),
     # highD: 110,500 vehicles, 13.6 s of each in view (Krajewski et al. 2018); 3,787 lane changes ahead of a vehicle, of
     # which cut-ins are a part ("Why studying cut-ins? Comparing cut-ins and other lane changes" [a summary])
-    "lane changes ahead of others": 3_787 / (110_500 * 13.6 / 3600),
+    "lane changes ahead of others": (3_787 / (110_500 * 13.6 / 3600), "--"),
 }
 
 
@@ -105,32 +104,19 @@ def break_even_figure(table: pd.DataFrame) -> str:
     figure, columns = by_task(table, 1, 2.6, sharey=True)
     for task, [axes] in columns.items():
         own = table[table["task"] == task]
-        for arm, colour in COLOURS.items():
-            if arm not in ARMS:
-                continue
-            name, least = f"{arm}_per_episode", f"{arm}_low_per_episode"
-            low = own[least].clip(lower=own[name].where(own[name] > 0, 1e-6) / 30)
-            axes.fill_between(
-                own["events_per_hour"], low, own[f"{arm}_high_per_episode"], color=colour, alpha=0.15, lw=0
-            )
-            axes.plot(
-                own["events_per_hour"],
-                own[name].where(own[name] > 0),
-                color=colour,
-                marker="o",
-                ms=3,
-                label=arm,
-            )
-        for number, rate in enumerate(ROADS.values()):
-            axes.axvline(rate, color=MUTED, lw=0.8, ls=(":", "--")[number])
+        hourly = own["events_per_hour"]
+        for arm in ARMS:
+            value, low, high = (own[f"{arm}{end}_per_episode"] for end in ENDS)
+            low = low.clip(lower=value.where(value > 0, 1e-6) / 30)
+            axes.fill_between(hourly, low, high, color=COLOURS[arm], alpha=0.15, lw=0)
+            axes.plot(hourly, value.where(value > 0), color=COLOURS[arm], marker="o", ms=3, label=arm)
+        for name, (rate, line) in ROADS.items():
+            axes.axvline(rate, color=MUTED, lw=0.8, ls=line, label=name)
         axes.set(xscale="log", yscale="log")
     figure.axes[0].set_ylabel("crashes per episode")
     figure.supxlabel("risk events per vehicle and hour", fontsize=8.5)
-    handles = [Line2D([], [], color=COLOURS[arm], marker="o", ms=3, label=arm) for arm in ARMS]
-    handles += [
-        Line2D([], [], color=MUTED, lw=0.8, ls=(":", "--")[k], label=name) for k, name in enumerate(ROADS)
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
     return to_svg(
         figure, "break-even", "Crashes per episode of control and treated agents against the rate of events"
     )

@@ -21,7 +21,6 @@ from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, m
 from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
-from experiments.analysis.influence import influence
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import arms_of, at_home, in_order, with_outcomes
 from experiments.study.design.arms import ARMS, EXTRA_ARMS, PAIRS
@@ -48,7 +47,7 @@ class Analysis:
     `plan.as_data`. notes: missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their
     reasons, and stage, the last one of the plan that is complete. primary: see `claims.primary`. price, learner (see
     `gates.learner_checks`): empty where the plan does not ask for them. frontier: see `frontier.to_frontier`. by_task:
-    see `by_task.by_task`. influence: see `influence.influence`; empty without pairs.
+    see `by_task.by_task`. influence: see `pairs.influence`; empty without pairs.
     """
 
     effects: pd.DataFrame
@@ -134,7 +133,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         learner=learner_checks(known.cells, passed, agents, plan),
         frontier=to_frontier(episodes),
         by_task=by_task(episodes, counted),
-        influence=influence(episodes, counted),
+        influence=pairs.influence(episodes, counted),
     )
 
 

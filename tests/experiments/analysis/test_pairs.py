@@ -18,8 +18,7 @@ from experiments import report
 from experiments.analysis.analysis import SHOWN, analyse
 from experiments.analysis.claims import CONTRADICTED, HOLDS, NOT_DECIDED, price
 from experiments.analysis.effects import contrasts
-from experiments.analysis.influence import influence
-from experiments.analysis.pairs import COMPARED, units
+from experiments.analysis.pairs import COMPARED, influence, units
 from experiments.analysis.plan import ENDS, STUDY
 from experiments.analysis.scores import arms_of
 from experiments.reporting import tables

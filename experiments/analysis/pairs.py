@@ -56,10 +56,8 @@ def influence(episodes: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     bounds = [bound for bound in plan.price if bound.arm in PAIRS and bound.where == "lightest"]
     asked = {(bound.arm, bound.against): [("crashed", bound.term)] for bound in bounds}
     plan = replace(plan, price=tuple(bounds))
-    drives = units(episodes) if asked else pd.DataFrame()
-    drives = drives[drives["level"] == 1] if len(drives) else drives
-    if drives.empty:
-        return pd.DataFrame()
+    drives = units(episodes)
+    drives = drives[drives["level"] == 1]
     everybody = contrasts(arms_of(drives, ["crashed"]), asked)
     lefts: list[tuple[Any, ...]] = []
     found: list[pd.DataFrame] = []
@@ -71,7 +69,7 @@ def influence(episodes: pd.DataFrame, plan: Plan) -> pd.DataFrame:
             # Each is named as if it were a simulator of its own, so that all are averaged at once.
             found.append(pd.concat([elsewhere, others]).assign(backend=str(len(lefts))))
             lefts.append((*setting, seed))
-    if not found:
+    if not (asked and found):
         return pd.DataFrame()
     rows = price(pd.concat(found, ignore_index=True), plan)
     rows = rows[rows["scope"] == ALL_TASKS]

@@ -31,10 +31,8 @@ def _entered(episodes: pd.DataFrame) -> pd.Series:
 
 # Of the columns those that the plans do not know; they are exploratory.
 OWN = {
-    "hard_crash": Outcome(
-        f"Crashes at {HARD:.0f} m/s or more", "of episodes", -1, 1, percent=True, poolable=True, of=_hard
-    ),
-    "entered": Outcome("Enters the crossing", "of episodes", 0, 0, percent=True, of=_entered),
+    "hard_crash": Outcome(f"at {HARD:.0f} m/s or more", "[%]", -1, 1, percent=True, poolable=True, of=_hard),
+    "entered": Outcome("enters", "[%]", 0, 0, percent=True, of=_entered),
 }
 COLUMNS: dict[str, Outcome] = {
     **{name: OUTCOMES[name] for name in ("crashed", "crashes_per_100_km")},

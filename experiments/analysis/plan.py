@@ -26,11 +26,11 @@ POWER = 0.8
 class Outcome:
     """A quantity of a test episode that is averaged and compared.
 
-    label: for people. unit: of a mean. better: +1 if more is better, -1 if less is, 0 if neither. digits: decimals to
-    show. percent: shown as a percentage. poolable: means the same on every task, so may be averaged over tasks. margin:
-    the difference that matters: below it two arms count as equivalent, and seeds are planned to find it; None where
-    none was fixed. of: for an outcome of one's own, a function from the table of test episodes (one row per episode,
-    the columns of `experiments.study.compute.evaluate.COLUMNS`) to one number per episode.
+    label, unit: what a column of it is called. better: +1 if more is better, -1 if less is, 0 if neither. digits:
+    decimals to show. percent: shown as a percentage. poolable: means the same on every task, so may be averaged over
+    tasks. margin: the difference that matters: below it two arms count as equivalent, and seeds are planned to find it;
+    None where none was fixed. of: for an outcome of one's own, a function from the table of test episodes (one row per
+    episode, the columns of `experiments.study.compute.evaluate.COLUMNS`) to one number per episode.
     """
 
     label: str
@@ -44,13 +44,13 @@ class Outcome:
 
 
 OUTCOMES: dict[str, Outcome] = {
-    "return": Outcome("Return", "per episode", +1, 2),
-    "crashed": Outcome("Crash rate", "of episodes", -1, 1, percent=True, poolable=True, margin=0.05),
-    "crash_free_time": Outcome("Time to crash", "s, at most the episode's", +1, 1, margin=1.0),
-    "crashes_per_100_km": Outcome("Crashes per 100 km", "", -1, 1),
-    "mean_speed": Outcome("Mean speed", "m/s", 0, 1, poolable=True, margin=0.5),
-    "near_misses": Outcome("Near-misses", "per episode", -1, 2, poolable=True),
-    "reward_per_step": Outcome("Reward per step", "", +1, 3),
+    "return": Outcome("return", "", +1, 2),
+    "crashed": Outcome("crashes", "[%]", -1, 1, percent=True, poolable=True, margin=0.05),
+    "crash_free_time": Outcome("time to crash, at most the episode's", "[s]", +1, 1, margin=1.0),
+    "crashes_per_100_km": Outcome("crashes per 100 km", "", -1, 1),
+    "mean_speed": Outcome("speed", "[m/s]", 0, 1, poolable=True, margin=0.5),
+    "near_misses": Outcome("near misses", "", -1, 2, poolable=True),
+    "reward_per_step": Outcome("reward per step", "", +1, 3),
 }
 TERMS: dict[str, dict[str, float]] = {
     "risky": {"risky": 1.0},

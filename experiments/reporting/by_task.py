@@ -11,17 +11,9 @@ from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.scores import TASK_ORDER
-from experiments.reporting.tables import BACKENDS, NONE, chosen, effect, points, wide, with_setting
+from experiments.reporting.tables import BACKENDS, NONE, chosen, effect, points, titled, wide, with_setting
 from experiments.study.design.traffic import TRAFFICS
 
-TITLES = {  # of the columns of `by_task.COLUMNS`
-    "crashed": "crashes [%]",
-    "crashes_per_100_km": "crashes per 100 km",
-    "hard_crash": "at 10 m/s or more [%]",
-    "mean_speed": "speed [m/s]",
-    "return": "return",
-    "entered": "enters [%]",
-}
 WITHOUT_EVENTS = "only-parameters"
 
 
@@ -59,8 +51,8 @@ def by_task(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFram
         for simulator, traffic in asked:
             values = chosen(own, tested_on=simulator, traffic=traffic).set_index("outcome", drop=False)
             cells = {
-                TITLES[name]: both_arms(values.loc[name]) if name in values.index else NONE
-                for name in COLUMNS
+                titled(column): both_arms(values.loc[name]) if name in values.index else NONE
+                for name, column in COLUMNS.items()
             }
             words = where[simulator, traffic].removesuffix(" traffic")
             short = words if simulator == backend else f"{traffic}, {simulator}"

@@ -9,8 +9,7 @@ import pandas as pd
 
 from experiments.analysis.by_task import COLUMNS, OWN
 from experiments.analysis.scores import crashes_per_100_km
-from experiments.reporting.by_task import TITLES
-from experiments.reporting.tables import NONE, chosen, points
+from experiments.reporting.tables import NONE, chosen, points, titled
 from experiments.study.compute.evaluate import limits
 
 SETTING = ["task", "level", "traffic"]
@@ -54,7 +53,7 @@ def texts(cards: Mapping[str, Mapping[str, Any]], sets: Mapping[str, str]) -> pd
     """
     found = [
         {"driver": driver, **{name: row[name] for name in SETTING}, "scenarios": str(row["episodes"])}
-        | {title: _interval(row[name], name) for name, title in TITLES.items()}
+        | {titled(column): _interval(row[name], name) for name, column in COLUMNS.items()}
         for driver, card in cards.items()
         for row in card["rows"]
         if card["set"].get(row["task"]) == sets.get(row["task"])

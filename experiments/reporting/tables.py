@@ -56,6 +56,11 @@ def kind_of(outcome: str | Outcome) -> Outcome:
     return outcome if isinstance(outcome, Outcome) else KINDS[outcome]
 
 
+def titled(outcome: Outcome) -> str:
+    """What a column of an outcome is called: "crashes [%]"."""
+    return " ".join(filter(None, [outcome.label, outcome.unit]))
+
+
 def number(value: float | None, outcome: str | Outcome) -> str:
     """A mean of an outcome with the digits it deserves; shares in per cent ("12.5 %")."""
     text = points(value, outcome, signed=False)
@@ -229,7 +234,7 @@ def own(analysis: Analysis, backend: str, outcomes: Mapping[str, Outcome]) -> pd
         pair = " → ".join(number(row[side], kind) for side in ("mean_against", "mean_arm"))
         return {f"{row['term']} traffic": pair, f"difference, {row['term']}": effect(row, kind)}
 
-    titles = {name: " ".join(filter(None, [one.label, one.unit])) for name, one in outcomes.items()}
+    titles = {name: titled(one) for name, one in outcomes.items()}
     return (
         wide(rows, ["outcome", "scope"], cells).replace({"outcome": titles}).rename(columns={"scope": "task"})
     )

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
+from experiments.analysis.by_task import COLUMNS
 from experiments.reporting import by_task, figures, page, tables
 
 
@@ -42,7 +43,7 @@ TASKS = rows_by_task(
 
 def test_the_table_of_tasks_has_a_line_a_task_and_traffic() -> None:
     table = by_task.by_task(analysis(by_task=TASKS), "sumo")
-    assert table.columns.tolist() == ["task", "traffic", *by_task.TITLES.values()]
+    assert table.columns.tolist() == ["task", "traffic", *map(tables.titled, COLUMNS.values())]
     assert table.iloc[:, :4].to_numpy().tolist() == [
         ["u-turn", "risky", "74.0 → 13.0\n−61.0 [−64.0, −57.0]", "632 → 136\n−496 [−535, −457]"],
         ["u-turn", "regular", "2.0 → 2.0\n0.0 [−1.0, +1.0]", "–"],

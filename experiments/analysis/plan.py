@@ -47,7 +47,7 @@ OUTCOMES: dict[str, Outcome] = {
     "return": Outcome("return", "", +1, 2),
     "crashed": Outcome("crashes", "[%]", -1, 1, percent=True, poolable=True, margin=0.05),
     "crash_free_time": Outcome("time to crash, at most the episode's", "[s]", +1, 1, margin=1.0),
-    "crashes_per_100_km": Outcome("crashes per 100 km", "", -1, 1),
+    "crashes_per_100_km": Outcome("crashes per 100 km", "", -1, 0),
     "mean_speed": Outcome("speed", "[m/s]", 0, 1, poolable=True, margin=0.5),
     "near_misses": Outcome("near misses", "", -1, 2, poolable=True),
     "reward_per_step": Outcome("reward per step", "", +1, 3),

@@ -6,7 +6,6 @@ Numbers stand in them as people read them: digits, units, signs, points instead 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -36,8 +35,7 @@ WHO_DRIVES = {  # one agent, or two together
     "weighed": "both, weighed by the belief",
     "shuffled": "both, by another episode's belief",
 }
-UNITS = {"mean_speed": " m/s", "crash_free_time": " s"}
-KINDS = OUTCOMES | OWN | {"crashes_per_100_km": replace(OUTCOMES["crashes_per_100_km"], digits=0)}
+KINDS = OUTCOMES | OWN
 
 
 def plain(value: float | None, digits: int, signed: bool = False) -> str:
@@ -85,11 +83,9 @@ def effect(row: Mapping[str, Any], outcome: str | Outcome = "crashed") -> str:
     return " ".join(filter(None, [points(row["estimate"], outcome), interval(row, outcome) or status]))
 
 
-def difference(row: Mapping[str, Any], outcome: str = "crashed") -> str:
-    """The same with its unit, for a sentence: "-3.1 points [-7.0, +0.8]"."""
-    kind = KINDS[outcome]
-    unit = " points" if kind.percent else UNITS.get(outcome, "")
-    return " ".join(filter(None, [points(row["estimate"], outcome) + unit, interval(row, outcome)]))
+def difference(row: Mapping[str, Any]) -> str:
+    """The same of the crash rate with its unit, for a sentence: "-3.1 points [-7.0, +0.8]"."""
+    return " ".join(filter(None, [points(row["estimate"], "crashed"), "points", interval(row, "crashed")]))
 
 
 def p_value(p: float | None) -> str:
@@ -342,4 +338,4 @@ TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulat
     "learner": learner,
     "frontier": frontier,
 }
-FILTERS = {f.__name__: f for f in (number, points, difference, p_value, listing, count)}
+FILTERS = {f.__name__: f for f in (number, points, difference, listing, count)}

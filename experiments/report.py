@@ -35,8 +35,8 @@ from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.effects import WORKING_COLUMNS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.reporting.page import page, render
-from experiments.study.compute.evaluate import COLUMNS
 from experiments.study.results.loaded import load
+from experiments.study.results.schema import COLUMNS
 from experiments.study.results.store import Store
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, in_words, writing

@@ -190,7 +190,7 @@ def adjusted(p_values: ArrayLike, method: str = "holm") -> NDArray[np.float64]:
     return known.reindex(p.index).to_numpy()
 
 
-def detectable(se: float, df: float, alpha: float = ALPHA) -> float:
+def detectable(se: float, df: float, alpha: float) -> float:
     """The smallest true difference that a two-sided test at alpha with this standard error finds with POWER."""
     if np.isnan(se):
         return np.nan

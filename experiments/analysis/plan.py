@@ -30,7 +30,7 @@ class Outcome:
     decimals to show. percent: shown as a percentage. poolable: means the same on every task, so may be averaged over
     tasks. margin: the difference that matters: below it two arms count as equivalent, and seeds are planned to find it;
     None where none was fixed. of: for an outcome of one's own, a function from the table of test episodes (one row per
-    episode, the columns of `experiments.study.compute.evaluate.COLUMNS`) to one number per episode.
+    episode, the columns of `experiments.study.results.schema.COLUMNS`) to one number per episode.
     """
 
     label: str

@@ -15,12 +15,11 @@ import numpy as np
 import pandas as pd
 
 from agents.rules import POLICIES
-from experiments.study.compute.evaluate import COLUMNS
 from experiments.study.design.arms import ARMS, EVERY_ARM, PAIRS, gate_traffics
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
-from experiments.study.results.schema import EPISODES, GATES
+from experiments.study.results.schema import COLUMNS, EPISODES, GATES
 from experiments.study.results.store import Store
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}

@@ -15,13 +15,14 @@ from agents import pretrained
 from agents.files import DamagedFile
 from agents.policies import Policy, foreign_policy
 from agents.rules import MAKERS, POLICIES, make_policy
-from experiments.study.compute.evaluate import COLUMNS, play_from
+from experiments.study.compute.evaluate import play_from
 from experiments.study.compute.executors import cores
 from experiments.study.compute.executors.local import LocalExecutor
 from experiments.study.compute.policies import driver, together
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.arms import ARMS, PAIRS, stream_seed
 from experiments.study.design.estimators import digest as digest_of_estimator
+from experiments.study.results.schema import COLUMNS
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError, in_words, unknown
 from sumo_env.benchmark import SETTINGS, BenchmarkScenario, digest

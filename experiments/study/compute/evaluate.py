@@ -14,10 +14,9 @@ from agents.policies import Policy
 from experiments.study.compute.wrappers import UnseenRisk
 from experiments.study.design.arms import scenario_seed, stream_seed
 from experiments.study.design.traffic import TRAFFICS, traffic_named
-from experiments.study.results import schema
+from experiments.study.results.schema import ACTIONS, COLUMNS
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
-COLUMNS = schema.COLUMNS  # of a test episode, with their types
 CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
 
 
@@ -114,7 +113,7 @@ def play_from(
         "near_misses": sum(bool(step["near_miss"]) for step in steps),
         "density": float(np.mean([step["density"] for step in steps])),
         "stopped": float((speeds < STOPPED).mean()),
-        **{f"action_{number}": actions.count(number) for number in range(schema.ACTIONS)},
+        **{f"action_{number}": actions.count(number) for number in range(ACTIONS)},
         **{f"crash_{key}": crash.get(key) for key in CRASH_KEYS},
         "actions": "".join(map(str, actions)),
     }

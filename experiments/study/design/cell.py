@@ -243,10 +243,10 @@ def _installed(package: str) -> str:
         ) from None
 
 
-def versions(backend: str, runs_on: str | None = None, packages: Iterable[str] = ()) -> dict[str, Any]:
+def versions(backend: str, runs_on: str, packages: Iterable[str] = ()) -> dict[str, Any]:
     """The versions that can change the bits of a result; part of a cell's name.
 
-    runs_on: the simulator that an agent is tested on, if it is another one. packages: further ones of its learner.
+    runs_on: the simulator of the test. packages: further ones of its learner.
 
     Raises:
         UserError: a package that the cell needs is not installed.
@@ -254,7 +254,7 @@ def versions(backend: str, runs_on: str | None = None, packages: Iterable[str] =
     names = (
         "sumo-risky-driving",
         SIMULATORS[backend],
-        SIMULATORS[runs_on or backend],
+        SIMULATORS[runs_on],
         "numpy",
         "torch",
         *packages,

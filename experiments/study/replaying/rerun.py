@@ -46,7 +46,7 @@ class Case:
 def play_again(
     case: Case, env: gym.Env[Any, Any], on_step: Callable[[], None] | None = None, closed_loop: bool = False
 ) -> dict[str, Any]:
-    """Play a test episode again and return its row of `evaluate.COLUMNS`.
+    """Play a test episode again and return its row of `schema.COLUMNS`.
 
     env: of its test, see `cell.tested_on`. closed_loop: drive the policy itself also where the actions are stored.
 

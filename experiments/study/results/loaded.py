@@ -57,7 +57,7 @@ def table_of(cells: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
 class Results:
     """All finished cells of a directory as tidy tables.
 
-    episodes: one row a test episode: OF_CELL and the columns of `evaluate.COLUMNS`.
+    episodes: one row a test episode: OF_CELL and the columns of `schema.COLUMNS`.
     gate_episodes: the same of the scenarios that the gates are judged on.
     cells: the record of each cell by name. failed: what went wrong in those of `expected` that are not finished.
     expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
 LEARNER = "dqn"  # of the published studies
-NOT_IN_KEY = {"source"}  # fields of a cell
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Cell:
         return {
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in values.items()
-            if name not in NOT_IN_KEY and (value or name not in ("test_on", "pair"))
+            if name != "source" and (value or name not in ("test_on", "pair"))
         }
 
     @property

@@ -166,8 +166,7 @@ def test_what_an_agent_gets_is_the_discounted_sum_and_what_it_still_expects_at_t
     ends = [crashed[-1] for _, crashed in env.kept]
     assert any(ends) and not all(ends)
     got = [
-        sum(GAMMA**k * r for k, r in enumerate(rewards))
-        + (0.0 if end else GAMMA ** len(rewards) * 3.0)
+        sum(GAMMA**k * r for k, r in enumerate(rewards)) + (0.0 if end else GAMMA ** len(rewards) * 3.0)
         for (rewards, _), end in zip(env.kept, ends, strict=True)
     ]
     record = worth.record()

@@ -51,7 +51,6 @@ AHEAD = {
 }
 SETTINGS = {
     "highway-fast": ({**AHEAD, "gamma": 0.9}, 40_000),
-    "roundabout": (AHEAD, 40_000),
     "intersection": (AHEAD, 60_000),
     "u-turn/0": ({**AHEAD, "gamma": 0.8, "n_steps": 1}, 40_000),
 }

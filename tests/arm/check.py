@@ -11,7 +11,8 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 
-from sumo_env import IDS, doctor, task_of
+from sumo_env import IDS, task_of
+from sumo_env import __main__ as doctor
 from tests.golden import scenes
 
 GOLDEN = Path(scenes.__file__).parent / "scenes"

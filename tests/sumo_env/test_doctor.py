@@ -1,4 +1,4 @@
-"""``python -m sumo_env.doctor``: what it says, and with which exit status."""
+"""``python -m sumo_env``: what it says, and with which exit status."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import sumo_env
-from sumo_env import doctor
+from sumo_env import __main__ as doctor
 from tests.processes import ROOT, python
 
 

@@ -21,7 +21,7 @@ GOLDEN = Path(scenes.__file__).parent / "scenes"
 def main() -> int:
     """0 if everything is as on x86-64."""
     print(platform.machine(), flush=True)
-    if doctor.examine(doctor.CHECKS, sys.stdout):
+    if doctor.examine(doctor.CHECKS):
         return 1
     for id in IDS:
         task = task_of(id)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import subprocess
@@ -17,13 +16,12 @@ from tests.processes import ROOT, python
 
 
 def test_the_version_of_gymnasium_comes_first_and_the_folder_is_named(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An old one makes later checks fail for reasons that mislead."""
     monkeypatch.setattr(doctor.gym, "__version__", "0.29.1")
-    out = io.StringIO()
-    assert doctor.examine(doctor.CHECKS, out) == 1
-    folder, first = out.getvalue().splitlines()[:2]
+    assert doctor.examine(doctor.CHECKS) == 1
+    folder, first = capsys.readouterr().out.splitlines()[:2]
     assert str(Path(sumo_env.__file__).parent) in folder
     assert "FAIL  gymnasium" in first
     declared = re.search(r"gymnasium>=[\d.]+", (ROOT / "pyproject.toml").read_text())
@@ -40,16 +38,17 @@ def test_a_sound_installation_passes() -> None:
         assert "steps/s" in line
 
 
-def test_a_problem_is_told_and_ends_the_examination(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_problem_is_told_and_ends_the_examination(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def never() -> str:
         raise AssertionError("this check rests on the one before")
 
     monkeypatch.delitem(sys.modules, "sumo_env.sumo.engine", raising=False)
     monkeypatch.setitem(sys.modules, "libsumo", None)  # an import raises ImportError
-    out = io.StringIO()
     checks = (("first", lambda: "fine"), ("SUMO", doctor.sumo), ("third", never))
-    assert doctor.examine(checks, out) == 1
-    said = out.getvalue()
+    assert doctor.examine(checks) == 1
+    said = capsys.readouterr().out
     assert "ok    first" in said and "FAIL  SUMO" in said and "SUMO is missing" in said
     assert "pip install libsumo==" in said and "third" not in said
 

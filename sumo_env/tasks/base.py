@@ -280,7 +280,6 @@ class Drivers:
 
     def __init__(self, task: Task, config: Config, seed: int) -> None:
         self._rng = stream(seed, "drivers")
-        self._drawn: list[int] = []
         self._fixed_delta = task.fixed_delta
         self._pool = {
             fixed: DriverPool(task.car_following, float(config["risk"]), fixed, task.risk_ranges).drivers
@@ -290,9 +289,7 @@ class Drivers:
     def next(self, fixed_delta: bool | None = None) -> Driver:
         """The driver of the next vehicle; `fixed_delta` overrides the task's own choice."""
         pool = self._pool[self._fixed_delta if fixed_delta is None else fixed_delta]
-        if not self._drawn:  # drawn in blocks, which gives the same numbers as one at a time
-            self._drawn = self._rng.integers(POOL, size=64).tolist()[::-1]
-        return pool[self._drawn.pop()]
+        return pool[self._rng.integers(POOL)]
 
 
 def cars_count(config: Config) -> int:

@@ -145,14 +145,6 @@ def _exit(road: Road, car: VehicleSpec) -> str:
     return road.route(car.lane[1], car.destination)[2]
 
 
-def _two_arms(rng: np.random.Generator) -> tuple[int, int]:
-    """Two different arms: ``rng.choice(4, size=2, replace=False)``, with the same draws (Floyd's algorithm), faster."""
-    first, second = int(rng.integers(3)), int(rng.integers(4))
-    if second == first:
-        second = 3
-    return (first, second) if rng.integers(2) else (second, first)
-
-
 def _attempt(
     id: str,
     road: Road,
@@ -164,7 +156,7 @@ def _attempt(
 ) -> VehicleSpec | None:
     """One attempt of highway-env's ``_spawn_vehicle``; draws the same numbers whether it succeeds or not."""
     success = rng.random() <= probability
-    start, goal = _two_arms(rng)
+    start, goal = rng.choice(4, size=2, replace=False).tolist()
     place, speed = rng.standard_normal(), rng.standard_normal()
     driver = drivers.next()
     if straight:

@@ -12,7 +12,6 @@ import pytest
 from experiments.backends.highway_env import ScenarioEnv
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.intersection import _two_arms
 from tests.sumo_env.parity import Step, ego_state, episodes, make, scatter, stock
 from tests.sumo_env.rollout import drive
 from tests.tasks import OF_HIGHWAY_ENV, every_task, highway_env_task
@@ -103,13 +102,6 @@ def test_equal_in_random_states(task: str, changed: str, normalize: bool) -> Non
         assert_same_judgement(step)
         seen |= {("on_road", step.info["on_road"]), ("crashed", step.info["crashed"])}
     assert len(seen) == 4
-
-
-def test_the_arms_of_the_intersection_are_drawn_as_numpy_s_choice_does() -> None:
-    own, numpy_s = np.random.default_rng(5), np.random.default_rng(5)
-    for _ in range(1000):
-        assert list(_two_arms(own)) == numpy_s.choice(4, size=2, replace=False).tolist()
-        assert own.standard_normal() == numpy_s.standard_normal()
 
 
 ALONE = {

@@ -12,7 +12,7 @@ import numpy as np
 from sumo_env.config import Config, ConfigError, resolve
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks.base import Task
-from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
+from sumo_env.traffic.scenario import EGO, Scenario
 
 SEEDS = (0, 1)
 
@@ -54,22 +54,18 @@ def _faults_of_scenarios(task: Task, config: Config) -> Iterator[str]:
         if drawn.ego.id != EGO:
             yield f"the ego is called {drawn.ego.id!r}, not {EGO!r}"
         lanes = task.road(config).lanes
-        strangers = {event.vehicle for event in drawn.events} - {spec.id for spec in _vehicles(drawn)}
+        strangers = {event.vehicle for event in drawn.events} - {spec.id for spec in drawn.everybody}
         if strangers:
             yield f"events are of vehicles that never come: {sorted(strangers)}"
-        for spec in _vehicles(drawn):
+        for spec in drawn.everybody:
             if spec.lane not in lanes:
                 yield f"the road has no lane {spec.lane!r} for {spec.id!r}: place it with make_on_lane"
-
-
-def _vehicles(scenario: Scenario) -> list[VehicleSpec]:
-    return [scenario.ego, *scenario.vehicles, *(spawn.vehicle for spawn in scenario.spawns)]
 
 
 def _places(scenario: Scenario) -> list[tuple[Any, ...]]:
     """All about its vehicles but their drivers."""
     steps = [spawn.step for spawn in scenario.spawns]
-    return [tuple(steps), *(tuple(spec._replace(driver=scenario.ego.driver)) for spec in _vehicles(scenario))]
+    return [tuple(steps), *(tuple(spec._replace(driver=scenario.ego.driver)) for spec in scenario.everybody)]
 
 
 def _faults_of_episodes(task: Task, config: Config, steps: int) -> Iterator[str]:

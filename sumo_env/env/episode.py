@@ -28,8 +28,7 @@ class Episode:
         """drawn_by: the task, as the options of the reset have changed it."""
         self.simulator, self.drawn_by = simulator, drawn_by
         self.scenario = scenario  # of all cars; vehicles whose arrival is drawn on the way are added
-        vehicles = *scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)
-        self.specs = {spec.id: spec for spec in vehicles}
+        self.specs = {spec.id: spec for spec in scenario.everybody}
         self.frequency = pace(scenario.simulation_frequency, scenario.policy_frequency)  # [Hz]
         self.commands: list[Commands] = []  # of all policy steps so far
         self.met: EgoStep | None = None  # what the scene's first car has met in the last policy step

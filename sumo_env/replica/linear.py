@@ -40,7 +40,7 @@ def linear_drivers(scenario: Scenario) -> dict[str, LinearDriver]:
     """The risky drivers of a scenario by the id of their vehicle; a function of its seed, vehicles and dose."""
     rng = stream(scenario.seed, "linear drivers")
     found: dict[str, LinearDriver] = {}
-    for spec in (*scenario.vehicles, *(spawn.vehicle for spawn in scenario.spawns)):
+    for spec in scenario.everybody[1:]:
         if spec.is_obstacle:
             continue
         share, *draws = rng.uniform(size=1 + len(ACCELERATION) + len(STEERING))

@@ -225,7 +225,7 @@ class Replica:
     def _read(self, scenario: Scenario) -> tuple[tables.Records, tables.Records]:
         """All vehicles of a scenario as their lives start, those that come later as well, and its risk events."""
         self._scenario = scenario
-        specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
+        specs = scenario.everybody
         numbers = {spec.id: number for number, spec in enumerate(specs)}
         self._ids, everybody = list(numbers), tables.cars_of(scenario.road, specs)
         for name in scenario.further:

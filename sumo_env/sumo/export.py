@@ -52,7 +52,7 @@ def write(
     road = scenario.network
     step = round((scenes[1].time if len(scenes) > 1 else 1.0 / scenario.simulation_frequency), 3)
     if recorded is None:
-        specs = {spec.id: spec for spec in (*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns))}
+        specs = {spec.id: spec for spec in scenario.everybody}
         ways = _floating_car_data(road, specs, scenes, step)
     else:
         ways = _of_sumo(recorded, scenes, step)

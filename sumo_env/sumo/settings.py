@@ -119,8 +119,5 @@ def leaves_traces(scenario: Scenario) -> bool:
 
     Other car-following models draw from SUMO's random numbers.
     """
-    drivers = (
-        *(spec.driver for spec in scenario.specs),
-        *(spawn.vehicle.driver for spawn in scenario.spawns),
-    )
-    return any(name in NOISY or name.endswith("Prob") for driver in drivers for name, _ in driver.attributes)
+    attributes = (name for spec in scenario.everybody for name, _ in spec.driver.attributes)
+    return any(name in NOISY or name.endswith("Prob") for name in attributes)

@@ -162,8 +162,7 @@ class SumoSimulator:
         if self._loaded is None or base != self._base:
             self._loaded, self._base, self._pools, self._kept, self._drivers = None, base, (), {}, {}
         again, self._pools = scenario.pools == self._pools, scenario.pools
-        wanted = {spec.driver.type: spec.driver for spec in scenario.specs}
-        wanted |= {spawn.vehicle.driver.type: spawn.vehicle.driver for spawn in scenario.spawns}
+        wanted = {spec.driver.type: spec.driver for spec in scenario.everybody}
         if self._loaded is not None and wanted.items() <= self._drivers.items():
             return self._loaded
         pooled = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}

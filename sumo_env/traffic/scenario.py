@@ -222,6 +222,11 @@ class Scenario:
         """The ego and the others, in the order of the scene's rows."""
         return (self.ego, *self.vehicles)
 
+    @property
+    def everybody(self) -> tuple[VehicleSpec, ...]:
+        """Likewise, with those that come later."""
+        return (*self.specs, *(spawn.vehicle for spawn in self.spawns))
+
     def with_drivers(self, other: Callable[[Driver], Driver]) -> Scenario:
         """This scenario with another driver in every vehicle but learning cars: what `other` makes of each driver."""
 

@@ -83,7 +83,8 @@ def workers() -> str:
     return f"same episode; started and driven in {time.perf_counter() - start:.1f} s"
 
 
-CHECKS = (  # name, and a function that returns details or raises an exception
+Check = tuple[str, Callable[[], str]]  # name, and a function that returns details or raises an exception
+CHECKS: tuple[Check, ...] = (
     ("gymnasium", gymnasium),
     ("SUMO", sumo),
     *((sumo_env.task_of(id), partial(task, id)) for id in sumo_env.IDS),
@@ -92,7 +93,7 @@ CHECKS = (  # name, and a function that returns details or raises an exception
 )
 
 
-def examine(checks: Sequence[tuple[str, Callable[[], str]]]) -> int:
+def examine(checks: Sequence[Check]) -> int:
     """Make the checks in order, one line each; returns 0, or 1 at the first problem, after which none is made.
 
     Later checks rest on earlier ones, so one cause is reported once.

@@ -43,7 +43,7 @@ def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> 
     """car_0 departs ten seconds after car_1. SUMO drives both: all drive as without a second learning car."""
     network, routes = road
     config = {"duration": 40, "action": WATCHED}
-    picture = {"render_mode": "rgb_array", "routes": routes}
+    picture: dict[str, Any] = {"render_mode": "rgb_array", "routes": routes}
     env = sumo_env.parallel_env(network, config, vehicles=["late", "early"], **picture)
     single = SumoDrivingEnv(network, routes, ego_vehicle="early", config=config)
     assert env.possible_agents == ["car_0", "car_1"]

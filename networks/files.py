@@ -191,13 +191,8 @@ def _read(path: Path) -> Network:
         raise ValueError(f"{path} has no edges: is it a SUMO network (.net.xml)?")
     if not lanes:
         raise ValueError(f"{path} has no lane for vehicles")
-    meeting = Meeting(
-        net,
-        {name: found.shape for name, found in sumo_lanes.items()},
-        {name: found.following for name, found in sumo_lanes.items()},
-    )
     road = Road(path.name, lanes, stops=stops)
-    return Network(road, path, {}, first, indices, sumo_lanes, meeting=meeting)
+    return Network(road, path, {}, first, indices, sumo_lanes, Meeting(net, sumo_lanes))
 
 
 def _drivers(ordinary: Iterable[SumoLane]) -> set[str]:

@@ -9,12 +9,10 @@ that joins at a small angle).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from heapq import heappop, heappush
 from math import inf
 from typing import Any, NamedTuple
-
-from sumo_env.networks.lanes import Point
 
 # [m] That the way along one edge, or across the junction that joins two, may be longer than the vehicles: SUMO's length
 # of an edge may be a multiple of the drawn one. A road that loops back over itself has a longer way.
@@ -38,21 +36,16 @@ class Spot(NamedTuple):
 class Meeting:
     """Which vehicles can meet on one network."""
 
-    def __init__(
-        self, net: Any, shapes: Mapping[str, Sequence[Point]], following: Mapping[str, Sequence[str]]
-    ) -> None:
-        """Read a network of sumolib (with the lanes inside junctions).
-
-        shapes, following: of each lane the points of its middle [m], and the lanes and joints that may come next.
-        """
-        self._shapes, self._following = shapes, following
+    def __init__(self, net: Any, lanes: Mapping[str, Any]) -> None:
+        """Read a network of sumolib (with the lanes inside junctions); lanes: `SumoLane` by their ids."""
+        self._lanes = lanes
         self._inside: dict[str, list[tuple[str, str]]] = {}  # see `inside`
-        for start, after in following.items():
-            for lane in () if start.startswith(":") else after:
+        for start, found in lanes.items():
+            for lane in () if start.startswith(":") else found.following:
                 passed: set[str] = set()  # people on foot can go round a junction
                 while lane.startswith(":") and lane not in passed:  # a long way is made of several lanes
                     passed.add(lane)
-                    before, lane = lane, next(iter(following[lane]), "")
+                    before, lane = lane, next(iter(lanes[lane].following), "")
                     self._inside.setdefault(lane, []).append((before, edge_of(start)))
         self._together: dict[tuple[str, str, str], float] = {}  # see `_side_by_side`
         self._edges: dict[str, _Edge] = {}
@@ -110,7 +103,9 @@ class Meeting:
         for _ in range(MOST_PASSED):
             if after in reached:
                 return True
-            reached = {lane for name in reached for lane in self._following.get(name, ())}
+            reached = {
+                lane for name in reached if name in self._lanes for lane in self._lanes[name].following
+            }
         return False
 
     def _side_by_side(self, one: str, other: str, junction: str) -> float:
@@ -120,12 +115,12 @@ class Meeting:
         if found is None:
             from sumolib.geomhelper import distancePointToPolygon, polyLength, positionAtShapeOffset
 
-            shape, ends, found = self._shapes[one], self._edges[edge_of(one)], 0.0
+            shape, ends, found = self._lanes[one].shape, self._edges[edge_of(one)], 0.0
             shape = shape if ends.start == junction else shape[::-1]
             drawn = polyLength(shape)
             while ends.length and found < drawn:  # 0 for lanes inside junctions
                 point = positionAtShapeOffset(shape, found)
-                if point is None or distancePointToPolygon(point, self._shapes[other]) > MOST_APART:
+                if point is None or distancePointToPolygon(point, self._lanes[other].shape) > MOST_APART:
                     break
                 found += SAMPLE
             found *= ends.length / drawn if found else 0.0

@@ -17,8 +17,7 @@ from sumo_env.compat.views import RoadView, Vehicle, View, only_read, road_view
 from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, keys_of, resolve
 from sumo_env.not_here import NEVER_CALLED, missing, page
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
-from sumo_env.spaces.actions import ActionType as Kind
-from sumo_env.spaces.actions import Situation
+from sumo_env.spaces.actions import ActionType, Situation
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.traffic.scenario import Scenario
 
@@ -60,28 +59,6 @@ else:
             raise only_read(self.fget.__name__)
 
 
-class ActionType(View):
-    """The actions, as ``highway_env.envs.common.action`` has them: of meta-actions these attributes."""
-
-    kind = "action type"
-    _of: Kind
-
-    space: Callable[[], gym.Space[Any]]
-    actions: dict[int, str]  # names by index
-    actions_indexes: dict[str, int]  # indices by name
-    target_speeds: NDArray[np.float64]  # [m/s]
-    get_available_actions: Callable[[], list[int]]
-
-
-class Observed(View):
-    """The type of observation, as ``highway_env.envs.common.observation`` has it."""
-
-    kind = "observation type"
-
-    space: Callable[[], gym.Space[Any]]
-    observe: Callable[[], NDArray[np.float32]]  # the present observation
-
-
 def _of_car(name: str) -> Any:
     """An attribute of the ego's episode, as one of its environment."""
     return property(attrgetter(f"_car.{name}"), lambda env, value: setattr(env._car, name, value))
@@ -96,7 +73,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     config: dict[str, Any]
     actions: dict[int, str]
     target_speeds: tuple[float, ...]
-    _action_type: Kind
+    _action_type: ActionType
     _observation_type: Any
     _own_observation: Any = None  # a subclass's
     _car: Any  # a `CarEpisode`, from the first reset on
@@ -181,9 +158,8 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         """The type of observation; ``observe()`` is the present observation. A subclass may set one of its own."""
         if self._own_observation is not None:
             return self._own_observation
-        return Observed(
-            _of=self._observation_type, space=lambda: self.observation_space, observe=self._observe
-        )
+        own, space = self._observation_type, self.observation_space
+        return View(kind="observation type", _of=own, space=lambda: space, observe=self._observe)
 
     @observation_type.setter
     def observation_type(self, value: Any) -> None:
@@ -218,14 +194,13 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     def action_type(self) -> Any:
         """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions(); or those that steer."""
         named: dict[str, Any] = {
-            "actions": self.actions,
+            "actions": self.actions,  # names by index
             "actions_indexes": {name: index for index, name in self.actions.items()},
-            "target_speeds": np.array(self.target_speeds),
+            "target_speeds": np.array(self.target_speeds),  # [m/s]
             "get_available_actions": self.get_available_actions,
         }
-        return ActionType(
-            _of=self._action_type, space=lambda: self.action_space, **(named if self.actions else {})
-        )
+        own, space = self._action_type, self.action_space
+        return View(kind="action type", _of=own, space=lambda: space, **(named if self.actions else {}))
 
     def set_record_video_wrapper(self, wrapper: gym.wrappers.RecordVideo[Any, Any]) -> None:
         """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.

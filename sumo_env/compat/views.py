@@ -12,7 +12,7 @@ from functools import cached_property
 from importlib import import_module
 from math import cos, sin
 from operator import itemgetter
-from typing import Any, ClassVar, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ class _Vehicles(tuple["Vehicle", ...]):
 class View:
     """Values that can only be read; an error about another one says what to use instead."""
 
-    kind: ClassVar[str]  # as users know it
+    kind: str  # as users know it
     _of: object = None  # what has the public attributes that the view itself lacks
     _theirs = ""  # a key of `THEIRS`; else that of the class of `_of`, or of the view
 

@@ -122,23 +122,12 @@ for _id in (*REPLICA_IDS, FAST_ID, *LATER_IDS):
         vector_entry_point="sumo_env.replica.vector:make",
         kwargs={"task": task_of(_id), "version": version_of(_id)},
     )
-for _version, _id in enumerate(TUPLE_IDS):
-    gym.register(
-        _id,
-        entry_point="sumo_env.env.cars:make_replica",
-        kwargs={
-            "task": "intersection",
-            "version": _version - _version % 2,
-            "cars": 2,
-            "per_car": _version > 0,
-        },
-    )
-for _id in SUMO_TUPLE_IDS:
-    gym.register(
-        _id,
-        entry_point="sumo_env.env.cars:make",
-        kwargs={"task": "intersection", "cars": 2, "per_car": version_of(_id) > 0},
-    )
+for _id in (*TUPLE_IDS, *SUMO_TUPLE_IDS):
+    _version, _make = version_of(_id), "make"
+    _several: dict[str, Any] = {"task": "intersection", "cars": 2, "per_car": _version > 0}
+    if _id in TUPLE_IDS:
+        _make, _several["version"] = "make_replica", _version - _version % 2
+    gym.register(_id, entry_point=f"sumo_env.env.cars:{_make}", kwargs=_several)
 for _id in NOT_HERE:
     _not_here = "sumo_env.not_here:not_here"
     gym.register(_id, entry_point=_not_here, vector_entry_point=_not_here, kwargs={"id": _id})

@@ -8,14 +8,13 @@ from typing import Any
 from sumo_env.replica.compiled import inlined
 from sumo_env.replica.geometry import heading_at, not_zero, wrapped
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, each, tan
-from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH
+from sumo_env.scene import MAX_SPEED, VEHICLE_LENGTH, VEHICLE_WIDTH
 
 KP_ACCELERATION = 1 / 0.6  # [1/s]
 KP_HEADING = 1 / 0.2  # [1/s]
 KP_LATERAL = 1 / 0.6  # [1/s]
 TAU_PURSUIT = 0.5 * 0.2  # [s] look-ahead
 MAX_STEERING_ANGLE = math.pi / 3  # [rad]
-MAX_SPEED = 40.0  # [m/s] beyond which a car is slowed down softly, in reverse as well
 # ``BicycleVehicle``, for a mass of 1 kg:
 FRICTION = 15.0  # [N/rad] of an axle's tyres
 YAW_INERTIA = 1 / 12 * (VEHICLE_LENGTH**2 + VEHICLE_WIDTH**2)  # [kg m2]
@@ -109,7 +108,7 @@ def slide(car: Any, dt: float) -> None:
 def move(cars: Any, slips: Any, rules: Any, dt: float) -> None:
     """``Vehicle.step``: an explicit Euler step of `dt` [s]; wrecks coast straight on.
 
-    slips: room for a number of each car.
+    Beyond MAX_SPEED a car is slowed down softly, in reverse as well. slips: room for a number of each car.
     """
     for i in range(len(cars)):
         if cars[i].crashed:

@@ -22,9 +22,8 @@ from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes,
 from sumo_env.replica.compiled import compile_notice
 from sumo_env.replica.draws import Centres
 from sumo_env.replica.linear import linear_drivers
-from sumo_env.replica.motion import MAX_SPEED
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
-from sumo_env.scene import NO_LIGHT, OBSTACLE_SIZE, Scene, is_obstacle
+from sumo_env.scene import MAX_SPEED, NO_LIGHT, OBSTACLE_SIZE, Scene, is_obstacle
 from sumo_env.simulator import Command, Commands, EgoStep, SteeringCommand, Step
 from sumo_env.spaces.observation import Kinematics, TableForm
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec

@@ -12,8 +12,9 @@ from sumo_env.replica.contacts import collide, ego_ttc
 from sumo_env.replica.driving import drive, follow_road, free_roads
 from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
 from sumo_env.replica.give_way import regulate
-from sumo_env.replica.motion import KP_ACCELERATION, MAX_SPEED, move, steer
+from sumo_env.replica.motion import KP_ACCELERATION, move, steer
 from sumo_env.replica.risk import push, return_from_swerve, start_events
+from sumo_env.scene import MAX_SPEED
 from sumo_env.traffic.scenario import SPAWN_DISTANCE
 
 # Of this type and no literal, for which Numba would compile all that reads it once more.

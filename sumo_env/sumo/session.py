@@ -12,9 +12,9 @@ from collections.abc import Iterable, Sequence
 from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
 
-from sumo_env.contacts.rectangles import Half, State
+from sumo_env.contacts.rectangles import HALF_LENGTH, Half, State
 from sumo_env.networks.meeting import Spot
-from sumo_env.scene import CAR_SIZE, LETTERS, NO_LIGHT, VEHICLE_LENGTH, Light
+from sumo_env.scene import CAR_SIZE, LETTERS, NO_LIGHT, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
 from sumo_env.sumo.settings import Settings
 from sumo_env.traffic.sumo_files import plain_path, temporary_folder
@@ -29,7 +29,6 @@ NO_RIGHT_OF_WAY = 23  # car following; foes that approach a junction are ignored
 COMMANDED_LANE_CHANGES = 0  # commanded changes only, without regard to others
 OWN_LANE_CHANGES = 1621  # the lane-change model decides; how SUMO's vehicles begin
 
-HALF_LENGTH = VEHICLE_LENGTH / 2.0
 CENTRED = 0.05  # [m] from the middle of a lane
 EGO_COLOUR, FURTHER_COLOUR = (0, 150, 255, 255), (130, 200, 255, 255)
 VIEW, SEEN = "View #0", 100.0  # in SUMO's own window, and how much of the road it shows [m]

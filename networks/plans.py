@@ -196,38 +196,32 @@ def _across(road: Road, start: str, end: str, s: float) -> tuple[Point, Point]:
     return left.position(s, -WIDTH / 2), left.position(s, WIDTH * (n - 1) + WIDTH / 2)
 
 
+def _joint(road: Road, way: tuple[str, str], name: str, s: float, spur: Line = ()) -> Item:
+    """A short junction across a road at `s` [m along its middle], which goes on with as many lanes.
+
+    spur: corners that its outline has beside, on the right.
+    """
+    (left_in, right_in), (left_out, right_out) = (_across(road, *way, s + by) for by in (-GAP / 2, GAP / 2))
+    left, middle = (*way, 0), WIDTH * (road.count(*way) - 1) / 2
+    at = road.lane(left).position(s * _scale(road, left), middle)
+    return _place(name, at, shape=(left_in, left_out, right_out, *spur, right_in))
+
+
 def _node(road: Road, before: tuple[str, str], branch: tuple[str, str] | None = None) -> Item:
-    """A short junction across the road at the end of `before`, which goes on with as many lanes.
+    """The joint at the end of `before`.
 
     A `branch` is a road right of it that ends (or starts) a few metres off: the outline gets a spur that
     reaches it. Edges end where they meet the outline, and netconvert would stretch one that does not meet
     it.
     """
-    name = before[1]
-    lane = road.lane((*before, 0))
-    offset = WIDTH * (road.count(*before) - 1) / 2
-    length = lane.length / _scale(road, (*before, 0))
-    left_in, right_in = _across(road, *before, length - GAP / 2)
-    left_out, right_out = _across(road, *before, length + GAP / 2)
     spur: Line = ()
     if branch is not None:
         touch = 0.01  # [m] of overlap, so that rounding cannot part them
-        if branch[1] == name:
-            left, right = _across(road, *branch, road.lane((*branch, 0)).length - touch)
-            spur = (right, left)
-        else:
-            left, right = _across(road, *branch, touch)
-            spur = (left, right)
-    return _place(
-        name, lane.position(lane.length, offset), shape=(left_in, left_out, right_out, *spur, right_in)
-    )
-
-
-def _joint(road: Road, way: tuple[str, str], name: str, s: float) -> Item:
-    """A short junction across a road at `s` [m]."""
-    (left_in, right_in), (left_out, right_out) = (_across(road, *way, s + by) for by in (-GAP / 2, GAP / 2))
-    at = road.lane((*way, 0)).position(s, WIDTH * (road.count(*way) - 1) / 2)
-    return _place(name, at, shape=(left_in, left_out, right_out, right_in))
+        ends = branch[1] == before[1]
+        left, right = _across(road, *branch, road.lane((*branch, 0)).length - touch if ends else touch)
+        spur = (right, left) if ends else (left, right)
+    length = road.lane((*before, 0)).length / _scale(road, (*before, 0))
+    return _joint(road, before, before[1], length, spur)
 
 
 def u_turn() -> Plan:

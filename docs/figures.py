@@ -28,6 +28,7 @@ from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
 from sumo_env.networks.lanes import Point
 from sumo_env.networks.mapping import Network, network
+from sumo_env.networks.roads import road
 
 IMAGES = ROOT / "docs" / "img"
 
@@ -100,7 +101,7 @@ def networks() -> None:
         size = (9, HEIGHTS.get(task, 4.9))
         figure, axes = plt.subplots(1, len(windows), figsize=size, squeeze=False, layout="constrained")
         for axis, window in zip(axes[0], windows, strict=True):
-            draw_network(axis, network(task), window)
+            draw_network(axis, network(road(task)), window)
         figure.legend(handles=legend, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
         figure.savefig(IMAGES / "networks" / f"{task}.png", dpi=110, metadata={"Software": None})
         plt.close(figure)

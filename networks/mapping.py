@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from sumo_env.networks import plans, roads
+from sumo_env.networks import plans
 from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane, Point, SineLane
 from sumo_env.networks.meeting import Meeting, edge_of
 from sumo_env.networks.roads import LaneIndex, Road
@@ -177,17 +177,13 @@ def _travelled(lane: Lane, start: float, end: float) -> float:
     return math.copysign(sum(math.dist(a, b) for a, b in pairwise(points)), end - start)
 
 
-def network(road: Road | str, **arguments: float) -> Network:
-    """The network of a road; a name, with arguments, stands for the road that `networks.roads.road` makes of them.
+@lru_cache(maxsize=16)
+def network(road: Road) -> Network:
+    """The network of a road.
 
     Raises:
-        ValueError: there is no such road, none has been built for it, or its lanes are not where the road's are.
+        ValueError: none has been built for it, or its lanes are not where the road's are.
     """
-    return _read(roads.road(road, **arguments) if isinstance(road, str) else road)
-
-
-@lru_cache(maxsize=16)
-def _read(road: Road) -> Network:
     net_file = FOLDER / road.net_file
     if not net_file.is_file():
         raise ValueError(f"the road {road.name!r}{_how(road)} has no SUMO network: {net_file} is missing")

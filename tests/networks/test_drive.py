@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from sumo_env.networks.mapping import Network, network
+from sumo_env.networks.roads import road
 from sumo_env.tasks import TASKS
 from tests.tasks import every_task
 
@@ -19,7 +20,7 @@ STEP = 0.1  # [s]
 
 def _speed(task: str) -> float:
     """The highest that somebody drives [m/s]: the limit, or the ego."""
-    limits = [lane.speed_limit for lane in network(task).road.lanes.values()]
+    limits = [lane.speed_limit for lane in network(road(task)).road.lanes.values()]
     return max(*limits, *TASKS[task].target_speeds)
 
 
@@ -37,7 +38,7 @@ def _drive(task: str) -> list[dict]:
     """Drive each route from each lane, one car at a time; in another process, which has no other simulation."""
     import libsumo
 
-    net, speed = network(task), _speed(task)
+    net, speed = network(road(task)), _speed(task)
     options = ["--step-length", str(STEP), "--no-step-log", "--collision.check-junctions"]
     libsumo.start(["sumo", "-n", str(net.net_file), *options])
     for key, edges in net.routes.items():

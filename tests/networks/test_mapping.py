@@ -11,13 +11,14 @@ import pytest
 from sumo_env.networks import plans, roads
 from sumo_env.networks.lanes import CircularLane, StraightLane
 from sumo_env.networks.mapping import network
+from sumo_env.networks.roads import road
 from tests.tasks import every_task
 
 
 @every_task
 def test_sumo_lanes_lie_on_highway_env_lanes_and_nobody_drives_off_an_end(task):
     """Within 1 cm sideways, chords included, without a hole; 400 m beyond every exit, and room before every entry."""
-    net = network(task)
+    net = network(road(task))
     last = {edges[-1] for edges in net.routes.values()}
     for index, sumo_lane in net.lanes.items():
         lane = net.road.lane(index)
@@ -38,7 +39,7 @@ def test_sumo_lanes_lie_on_highway_env_lanes_and_nobody_drives_off_an_end(task):
 
 @pytest.mark.parametrize("lanes_count", plans.LANES_COUNTS)
 def test_highways_of_any_width(lanes_count):
-    net = network("highway", lanes_count=lanes_count)
+    net = network(road("highway", lanes_count=lanes_count))
     assert net.net_file.name == f"highway-{lanes_count}.net.xml"
     for i in range(lanes_count):
         assert net.lanes[("0", "1", i)].id == f"0-1_{lanes_count - 1 - i}"
@@ -47,7 +48,7 @@ def test_highways_of_any_width(lanes_count):
 
 def test_two_way_road_of_any_length_keeps_x():
     for length in (800.0, 1600 / 3):
-        net = network("two-way", road_length=length)
+        net = network(road("two-way", road_length=length))
         assert net.place(("a", "b", 1), 30.0) == ("a-b>b", "a-b_0", pytest.approx(700 + 32.5))
         # 200 m along the oncoming lane is x = length - 200; SUMO counts from x = 1500
         expected = 1500 - (length - 200) + 2.5
@@ -56,7 +57,7 @@ def test_two_way_road_of_any_length_keeps_x():
 
 
 def test_routes_in_the_ring_start_one_edge_earlier():
-    net = network("roundabout")
+    net = network(road("roundabout"))
     assert net.sumo_route(("we", "sx", 0), "exr") == "we-sx>exr"
     assert net.routes["we-sx>exr"] == ("wx-we", "we-sx", "sx-se", "se-ex", "ex-exs", "exs-exr")
     # the ego of the roundabout is bound for a node short of the end
@@ -69,7 +70,7 @@ def test_routes_in_the_ring_start_one_edge_earlier():
 
 
 def test_stretch_is_the_ratio_of_lengths():
-    net = network("u-turn")
+    net = network(road("u-turn"))
     inner, outer = net.lanes[("b", "c", 0)].id, net.lanes[("b", "c", 1)].id
     assert net.stretch(inner) == pytest.approx(22 / 20, abs=1e-3)
     assert net.stretch(outer) == pytest.approx(22 / 24, abs=1e-3)
@@ -77,10 +78,10 @@ def test_stretch_is_the_ratio_of_lengths():
 
 
 def test_placing_follows_the_route_over_joints():
-    net = network("u-turn")
+    net = network(road("u-turn"))
     _, lane, position = net.place(("a", "b", 0), 127.0, "d")  # the bumper is 1.5 m into the arc
     assert lane == "b-c_1" and 0 < position < 1.6
-    net = network("roundabout")
+    net = network(road("roundabout"))
     _, lane, position = net.place(("we", "sx", 0), -10.0, "exr")  # before its start, as highway-env may
     assert lane == "wx-we_1"
     travelled = 20 * math.radians(48) - 10.0 + 2.5  # of the inner arc from node wx, by the bumper
@@ -100,16 +101,16 @@ def shifted(road):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: network("motorway"), "choose from highway"),
-        (lambda: network("highway", lanes_count=7), "lanes_count"),
-        (lambda: network("two-way", road_length=5000.0), "road_length"),
+        (lambda: network(road("motorway")), "choose from highway"),
+        (lambda: network(road("highway", lanes_count=7)), "lanes_count"),
+        (lambda: network(road("two-way", road_length=5000.0)), "road_length"),
         (lambda: network(replace(roads.u_turn(), name="own", net_file="none.xml")), "own"),
         (lambda: network(replace(roads.u_turn(), lanes=shifted(roads.u_turn()))), "beside"),
         (lambda: network(replace(roads.u_turn(), net_file=roads.roundabout().net_file)), "no lane"),
-        (lambda: network("roundabout").sumo_route(("exs", "exr", 0), "nxr"), "ends: exr"),
-        (lambda: network("intersection").sumo_route(("o0", "ir0", 0)), "ends: o1, o2, o3"),
-        (lambda: network("two-way").place(("a", "b", 0), 10.0), "change lane"),
-        (lambda: network("roundabout").place(("we", "sx", 0), -60.0, "exr"), "not on route"),
+        (lambda: network(road("roundabout")).sumo_route(("exs", "exr", 0), "nxr"), "ends: exr"),
+        (lambda: network(road("intersection")).sumo_route(("o0", "ir0", 0)), "ends: o1, o2, o3"),
+        (lambda: network(road("two-way")).place(("a", "b", 0), 10.0), "change lane"),
+        (lambda: network(road("roundabout")).place(("we", "sx", 0), -60.0, "exr"), "not on route"),
     ],
 )
 def test_what_cannot_be_is_refused_with_the_choices(call, message):

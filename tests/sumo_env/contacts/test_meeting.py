@@ -17,6 +17,7 @@ from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.networks.mapping import Network, network
 from sumo_env.networks.meeting import Meeting, Spot
+from sumo_env.networks.roads import road
 from sumo_env.sumo import surroundings
 from sumo_env.tasks import TASKS
 from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
@@ -258,7 +259,7 @@ def test_the_time_to_collision_looks_beyond_short_edges(tmp_path: Path) -> None:
 
 def test_the_five_tasks_ask_nothing() -> None:
     """No road of theirs crosses another one without a junction."""
-    assert all(network(task).meeting is None for task in TASKS)
+    assert all(network(road(task)).meeting is None for task in TASKS)
 
 
 CARS = 2 * CAR

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from sumo_env.networks.mapping import network
+from sumo_env.networks.roads import road
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo import pipe, process
 from tests.processes import ended, python, started
@@ -22,7 +23,8 @@ DRIVE = """
 import sys
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.networks.mapping import network
-routes = network("u-turn").routes
+from sumo_env.networks.roads import road
+routes = network(road("u-turn")).routes
 envs = []
 for _ in range(2):
     env = SumoDrivingEnv(*sys.argv[1:], routes, routes["a-b>d"]) if sys.argv[1:] else DrivingEnv("u-turn")
@@ -46,7 +48,7 @@ def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
     package = folder / "sumo_env"
     ignored = shutil.ignore_patterns("__pycache__", "networks")
     shutil.copytree(Path(process.__file__).parents[1], package, ignore=ignored)
-    shutil.copytree(Path(network("u-turn").net_file).parents[1], package / "networks", ignore=ignored)
+    shutil.copytree(Path(network(road("u-turn")).net_file).parents[1], package / "networks", ignore=ignored)
     assert python("-c", DRIVE, cwd=folder, TMPDIR=str(folder), PYTHONPATH="").splitlines() == expected
     assert expected[0] == expected[1] and expected[2] == "True"
     assert [path.name for path in folder.iterdir()] == ["sumo_env"]

@@ -26,11 +26,12 @@ import libsumo
 import numpy as np
 from sumo_env.env import DrivingEnv
 from sumo_env.networks.mapping import network
+from sumo_env.networks.roads import road
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.world import SumoSimulator
 
 misuses, state = json.loads(sys.argv[1]), sys.argv[2]
-other = network("u-turn").net_file
+other = network(road("u-turn")).net_file
 
 def drive(env, seed):
     rows = [env.reset(seed=seed)[0]]

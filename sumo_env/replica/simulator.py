@@ -50,12 +50,14 @@ class Replica:
         ValueError: unknown variant.
     """
 
+    _scenario: Scenario
+    _is_begun = False  # whether there is an episode
+
     def __init__(self, variant: str = "path", is_linear: bool = False, ego_contacts: bool = False) -> None:
         self.variant = one_of("variant", variant, VARIANTS)
         self.is_linear, self.ego_contacts = is_linear, ego_contacts
         _load()
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
-        self._scenario: Scenario | None = None
         self._crashes: dict[str, CrashRecord] = {}  # of the learning cars
         self._before: int | None = None  # see `seen_by`
         self._ids: list[str] = []
@@ -64,6 +66,7 @@ class Replica:
     def reset(self, scenario: Scenario) -> Scene:
         """See `Simulator.reset`."""
         self._batch, self._crashes = begun(no_episodes(1), 0, self.load(scenario)), {}
+        self._is_begun = True
         self._look()
         return self._scene(np.array([self._cars[name] for name in FRAME], float), 0)
 
@@ -92,7 +95,7 @@ class Replica:
 
     def step(self, commands: Commands, trace: bool = False) -> Step:
         """See `Simulator.step`."""
-        if self._scenario is None:
+        if not self._is_begun:
             raise RuntimeError("call reset() before step()")
         batch, rules = self._batch, self.start.rules
         for name, command in commands.items():
@@ -173,7 +176,6 @@ class Replica:
 
     def expect(self, spawn: Spawn) -> Scenario:
         """Let a vehicle in at the start of the next step; returns the scenario with it."""
-        assert self._scenario is not None
         arrival = tables.cars_of(self._scenario.road, [spawn.vehicle])
         arrival["number"] = len(self._ids)
         self._batch = expecting(self._batch, 0, arrival)
@@ -195,12 +197,12 @@ class Replica:
 
     def close(self) -> None:
         """Forget the episode."""
-        self._scenario = None
+        self._is_begun = False
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Replica:
         """A copy for planners: it has cars of its own, and shares what never changes."""
         twin = copy.copy(self)
-        if self._scenario is not None:
+        if self._is_begun:
             twin._batch, twin._crashes = copied(self._batch), self._crashes.copy()
             twin._look()
         return twin
@@ -239,7 +241,6 @@ class Replica:
 
         Late cars come only then, where there is room.
         """
-        assert self._scenario is not None
         warm, self._warm = self._warm, None
         if warm is not None and warm[0] is self._scenario.vehicles:
             cars = warm[1]
@@ -260,7 +261,6 @@ class Replica:
 
     def _look(self) -> None:
         """Which cars are there now, and how many policy steps were driven."""
-        assert self._scenario is not None
         episode = self._batch.episodes[0]
         self._steps, self._cars = int(episode["steps"]), self._batch.cars[0, : episode["cars"]]
         if not self._steps or self._rules.regulation_interval:  # cars come and go at the intersection alone
@@ -288,7 +288,6 @@ class Replica:
 
     def _scene(self, frame: Any, steps: int) -> Scene:
         """The scene of a frame of a trace, shape (6, n), after these sub-steps since the start."""
-        assert self._scenario is not None
         if self._order is not None:
             frame = frame[:, self._order]
         return Scene(

@@ -9,7 +9,7 @@ from typing import Any
 
 from sumo_env.contacts.crash import CrashDetector, CrashRecord, record
 from sumo_env.contacts.measures import HORIZON
-from sumo_env.contacts.rectangles import CAR, State, first_touch
+from sumo_env.contacts.rectangles import State, first_touch
 from sumo_env.networks.meeting import Meeting
 from sumo_env.simulator import EgoCommand, EgoStep
 from sumo_env.sumo.session import Session
@@ -81,7 +81,7 @@ class Car:
         around, ego = self.around, self.ego
         apart = [name for name in ids if name not in reported and around.passes(name, ego.is_sumos)]
         if apart:
-            halves = self._session.halves((self.name, *apart)) or [CAR]
+            halves = self._session.halves((self.name, *apart))
             others = [before[name] for name in apart], [around.near[name] for name in apart]
             touch = first_touch(seen, around.ego, *others, halves[1:], halves[0])
             ego.overlap = ego.overlap if touch is None else apart[touch[0]]

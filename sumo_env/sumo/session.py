@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
 
-from sumo_env.contacts.rectangles import HALF_LENGTH, Half, State
+from sumo_env.contacts.rectangles import CAR, HALF_LENGTH, Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, LETTERS, NO_LIGHT, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
@@ -281,9 +281,9 @@ class Session:
         return {name: _state(position(name), angle(name), speed(name), self.half(name)) for name in names}
 
     def halves(self, names: Iterable[str]) -> list[Half]:
-        """Half the length and the width of these vehicles [m]; empty where all vehicles on the road are cars."""
+        """Half the length and the width of these vehicles [m]."""
         if not self.sizes:
-            return []
+            return [CAR for _ in names]
         sizes = (self.sizes.get(name, CAR_SIZE) for name in names)
         return [(length / 2.0, width / 2.0) for length, width in sizes]
 

@@ -7,13 +7,13 @@ the same states and takes longer than the rest of a sub-step on small roads (doc
 from __future__ import annotations
 
 from collections.abc import Collection
-from itertools import chain, product, repeat
+from itertools import chain, product
 from math import inf
 from operator import itemgetter
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
-from sumo_env.contacts.rectangles import CAR, DIAGONAL, Half, State, reach_of, separation, stay_apart
+from sumo_env.contacts.rectangles import DIAGONAL, Half, State, reach_of, separation, stay_apart
 from sumo_env.networks.meeting import Meeting, Spot
 from sumo_env.scene import NOBODY, PERCEPTION_DISTANCE, Neighbour
 from sumo_env.sumo.session import Session
@@ -78,8 +78,8 @@ class Surroundings:
             least = ego_ttc(self.ego, self.near.values(), horizon)
             if self._meeting is None or least == inf:
                 return least
-        least, own, halves = inf, self._own_half(), self._session.halves(self.near) or repeat(CAR)
-        for (name, other), half in zip(self.near.items(), halves, strict=False):
+        least, own, halves = inf, self._own_half(), self._session.halves(self.near)
+        for (name, other), half in zip(self.near.items(), halves, strict=True):
             time = ego_ttc(self.ego, (other,), min(horizon, least), half, own)
             if time < least and self._can_meet(name, half, time):
                 least = time
@@ -108,15 +108,15 @@ class Surroundings:
                     found.append(name)
         if self._meeting is None or not found:
             return found
-        halves = dict(zip(found, self._session.halves(found), strict=False))
+        halves = dict(zip(found, self._session.halves(found), strict=True))
         return [
             name
             for name in found
             if name in reported
             or (
                 not self._bends(name)
-                and self._can_meet(name, halves.get(name, CAR), dt)
-                and not self._has_jumped_past(name, halves.get(name, CAR))
+                and self._can_meet(name, halves[name], dt)
+                and not self._has_jumped_past(name, halves[name])
             )
         ]
 
@@ -154,7 +154,7 @@ class Surroundings:
 
     def _own_half(self) -> Half:
         """The ego's half size [m]."""
-        return next(iter(self._session.halves((self._name,))), CAR)
+        return self._session.halves((self._name,))[0]
 
     def _can_meet(self, name: str, half: Half, time: float) -> bool:
         """Whether the network lets the ego and a vehicle of half size `half` [m] be in contact within `time` [s]."""

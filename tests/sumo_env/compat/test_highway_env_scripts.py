@@ -5,8 +5,6 @@ Each test is one kind of script that was found in public repositories. What is c
 
 from __future__ import annotations
 
-import copy
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -18,25 +16,6 @@ from sumo_env.config import ConfigError, warn_once
 from sumo_env.envs import HighwayEnv, IntersectionEnv
 
 FEW = {"vehicles_count": 6, "duration": 4}
-
-
-def test_the_quickstart_trains_a_dqn_on_the_fast_highway(tmp_path: Path) -> None:
-    dqn = pytest.importorskip("stable_baselines3").DQN
-    env = gym.make("sumo/highway-fast-v0")
-    model = dqn(
-        "MlpPolicy", env, policy_kwargs={"net_arch": [32, 32]}, learning_starts=10, batch_size=8, verbose=0
-    )
-    model.learn(30)
-    model.save(tmp_path / "model")
-    model = dqn.load(tmp_path / "model")
-    env = gym.make("sumo/highway-fast-v0", render_mode="rgb_array", config={"duration": 3})
-    done = truncated = False
-    obs, _ = env.reset()
-    while not (done or truncated):
-        action, _ = model.predict(obs, deterministic=True)
-        obs, reward, done, truncated, _ = env.step(action)
-        env.render()
-    assert 0.0 <= float(reward) <= 1.0
 
 
 class OwnReward(HighwayEnv):
@@ -80,48 +59,6 @@ def test_a_subclass_has_its_own_reward_and_id() -> None:
     assert truncated and len(env.unwrapped.road.vehicles) == 1 + FEW["vehicles_count"]
     with pytest.raises(ConfigError, match="did you mean 'gap_reward'"):
         env.unwrapped.configure({"gap_rewards": 7.0})
-
-
-def test_rules_of_distance_and_lane_drive() -> None:
-    """As a driver of fixed rules reads highway-env: leaders and followers in its lane and in those beside it."""
-    env: Any = gym.make("sumo/highway-v0", config={**FEW, "policy_frequency": 5}).unwrapped
-    env.reset(seed=3)
-    names = env.action_type.actions_indexes
-    for _ in range(12):
-        ego, road = env.controlled_vehicles[0], env.road
-        front, _ = road.neighbour_vehicles(ego)
-        action = names["FASTER"]
-        if front is not None and ego.lane_distance_to(front) < 10 + 1.5 * ego.speed:
-            action = names["SLOWER"]
-            for side in road.network.side_lanes(ego.lane_index):
-                lane = road.network.get_lane(side)
-                ahead, behind = road.neighbour_vehicles(ego, side)
-                is_free = all(
-                    other is None or abs(ego.lane_distance_to(other, lane)) > 15.0
-                    for other in (ahead, behind)
-                )
-                if is_free and lane.is_reachable_from(ego.position):
-                    action = names["LANE_LEFT"] if side[2] < ego.lane_index[2] else names["LANE_RIGHT"]
-        if action not in env.get_available_actions():
-            action = names["IDLE"]
-        _, _, terminated, truncated, info = env.step(action)
-        if terminated or truncated:
-            break
-    assert not info["crashed"]
-
-
-def test_a_shield_predicts_with_a_copy_and_refuses_actions() -> None:
-    env = gym.make("sumo/intersection-v0", config={"policy_frequency": 15, "duration": 1})
-    assert env.unwrapped.config["simulation_frequency"] == 15  # type: ignore[attr-defined]
-    env.reset(seed=5)
-    for _ in range(2):
-        safe = []
-        for action in env.unwrapped.get_available_actions():  # type: ignore[attr-defined]
-            twin = copy.deepcopy(env)
-            if not twin.step(action)[4]["crashed"]:
-                safe.append(action)
-            twin.close()
-        env.step(safe[0])
 
 
 class Arrival(IntersectionEnv):

@@ -89,31 +89,12 @@ def test_a_training_gives_the_same_bits_again(network: str, device: str) -> None
     assert_equal(train(road(), config, 0), train(road(), config, 0))
 
 
-@pytest.mark.slow
-def test_a_target_network_without_lag_shows_as_divergence() -> None:
-    """The copy after every update at gamma .99: values far beyond the bound, and a constant policy."""
-    config = replace(
-        SMALL, updates=400, tau=1.0, gamma=0.99, batch_size=16, learning_rate_final=5e-4, standardise=False,
-        probe_interval=100, warm_up=300, epsilon_decay=0.15, clip_goals=False,
-    )  # fmt: skip
-
-    def largest(record: dict[str, Any]) -> float:
-        return max(row[2] for row in record["probe_q"])
-
-    agent = train(road(), replace(config, network="dueling"), 1)
-    assert agent.record["q_bound"] == pytest.approx(1 / 0.01, rel=0.01)  # the fake environment pays at most 1
-    assert largest(agent.record) > 1.2 * agent.record["q_bound"]
-    observations = np.random.default_rng(0).uniform(-1, 1, (50, 2, 5)).astype(np.float32)
-    assert len({agent.policy.act(observation) for observation in observations}) == 1
-    stable = train(road(), replace(config, network="dueling", target_interval=200), 1)
-    assert largest(stable.record) < 6 < 1.2 * stable.record["q_bound"]
-
-
 def test_goals_beyond_what_rewards_allow_are_clipped_and_counted() -> None:
     """A target network without lag diverges; clipped, its values stay where they can be, and the record says how."""
     config = replace(SMALL, updates=400, tau=1.0, gamma=0.99, standardise=False)
     free, clipped = (train(road(), replace(config, clip_goals=clip), 0) for clip in (False, True))
     assert "goals_clipped" not in free.record
+    assert 90.0 < free.record["q_bound"] <= 1 / 0.01  # the fake environment pays at most 1
     rows = clipped.record["goals_clipped"]
     assert [row[0] for row in rows] == [row[0] for row in clipped.record["probe_q"]]
     assert all(0 <= share <= 1 for _, share in rows)
@@ -162,12 +143,6 @@ def filled(capacity: int, count: int) -> Replay:
     return replay
 
 
-def test_the_oldest_transition_makes_room() -> None:
-    replay = filled(10, 13)
-    assert len(replay) == 10
-    assert sorted(replay.arrays["observations"][:, 0, 0]) == list(range(3, 13))
-
-
 def test_sampling_is_uniform_over_what_is_stored() -> None:
     batch = filled(50, 20).sample(np.random.default_rng(0), 20_000)
     counts = np.bincount(batch.observations[:, 0, 0].int(), minlength=20)
@@ -175,9 +150,10 @@ def test_sampling_is_uniform_over_what_is_stored() -> None:
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
 
 
-def test_a_batch_holds_whole_transitions() -> None:
-    batch = filled(10, 13).sample(np.random.default_rng(0), 30)
+def test_the_oldest_transition_makes_room_and_a_batch_holds_whole_ones() -> None:
+    batch = filled(10, 13).sample(np.random.default_rng(0), 200)
     number = batch.observations[:, 0, 0]
+    assert sorted({*number.tolist()}) == list(range(3, 13))
     assert torch.equal(batch.next_observations[:, 1, 1], number + 1)
     assert torch.equal(batch.actions, number.long() % 3)
     torch.testing.assert_close(batch.rewards, number / 10)

@@ -6,6 +6,7 @@ And highway-env's classes as they were: making its intersection writes other num
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from sumo_env import not_here
 from sumo_env.sumo import process
 
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame's windows are on a display that shows nothing
 not_here.DOCUMENTATION = ""  # messages name files, also once `make addresses` has filled it in
 
 # A shell starts what it runs in the background with Ctrl-C ignored, and so would every process of a test.

@@ -51,19 +51,6 @@ def test_gymnasium_and_stable_baselines_have_nothing_to_object_to(id: str) -> No
     assert [text for text in messages if not any(known in text for known in EXPECTED_WARNINGS)] == []
 
 
-@pytest.mark.parametrize("id", sumo_env.IDS)
-def test_an_episode_ends_within_its_duration(id: str) -> None:
-    env = gym.make(id)
-    duration = env.get_wrapper_attr("config")["duration"]
-    for seed in range(3):
-        results = list(drive(env, seed=seed))
-        for _, reward, terminated, _, info in results:
-            assert np.isfinite(reward)
-            assert terminated == (info["crashed"] or info["arrived"])
-        assert len(results) <= duration
-        assert results[-1][3] == (len(results) == duration)
-
-
 # -- configuration -----------------------------------------------------------------------------------------
 
 

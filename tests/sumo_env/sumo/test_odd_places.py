@@ -108,11 +108,12 @@ def test_another_version_of_pyarrow_prints_nothing() -> None:
 TRAINS = """
 import gymnasium as gym, numpy as np
 CONFIG = {"vehicles_count": 5, "duration": 8}
+make = lambda: gym.make("sumo_env:sumo/highway-v0", config=CONFIG)
 if __name__ == "__main__":
-    mine = [gym.make("sumo_env:sumo/highway-v0", config=CONFIG) for _ in range(2)]
+    mine = [make() for _ in range(2)]
     for env in mine:
         env.reset(seed=0)
-    ENVIRONMENTS
+    envs = gym.vector.AsyncVectorEnv([make, make], context="START_METHOD")
     envs.reset()
     for _ in range(10):
         envs.step(np.array([1, 1]))
@@ -121,35 +122,13 @@ if __name__ == "__main__":
 """
 
 
-STABLE = """
-    from stable_baselines3.common.env_util import make_vec_env
-    from stable_baselines3.common.vec_env import SubprocVecEnv
-    envs = make_vec_env(
-        "sumo_env:sumo/highway-v0", n_envs=2, vec_env_cls=SubprocVecEnv, env_kwargs={"config": CONFIG},
-        vec_env_kwargs={"start_method": "START_METHOD"},
-    )
-"""
-GYMNASIUM = """
-    make = lambda: gym.make("sumo_env:sumo/highway-v0", config=CONFIG)
-    envs = gym.vector.AsyncVectorEnv([make, make], context="START_METHOD")
-"""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("start_method", "makes"),
-    [
-        *((method, GYMNASIUM) for method in ("fork", "spawn")),  # no torch in every process
-        *(pytest.param(method, STABLE, marks=pytest.mark.long) for method in ("fork", "spawn", "forkserver")),
-    ],
-    ids=["fork", "spawn", "fork-stable", "spawn-stable", "forkserver-stable"],
-)
-def test_subprocesses_after_the_parent_has_used_sumo(tmp_path: Path, start_method: str, makes: str) -> None:
+@pytest.mark.parametrize("method", ["fork", "spawn", pytest.param("forkserver", marks=pytest.mark.long)])
+def test_subprocesses_after_the_parent_has_used_sumo(tmp_path: Path, method: str) -> None:
     """Only multiprocessing's own start methods need a guard and a file; a notebook has none. No file is left."""
-    text = TRAINS.replace("    ENVIRONMENTS\n", makes).replace("START_METHOD", start_method)
-    file = tmp_path / "script.py"
+    text, file = TRAINS.replace("START_METHOD", method), tmp_path / "script.py"
     file.write_text(text)
-    program, stdin = ("-", text) if start_method == "fork" else (file, "")
+    program, stdin = ("-", text) if method == "fork" else (file, "")
     done = ended("-W", "ignore::UserWarning", program, cwd=tmp_path, stdin=stdin, TMPDIR=str(tmp_path))
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith("sumo_env-")] == []

@@ -43,17 +43,6 @@ def test_a_step_says_what_it_has_brought(simulator: SumoSimulator) -> None:
 
 
 @every_task
-def test_looking_at_every_sub_step_changes_nothing(task: str, simulator: SumoSimulator) -> None:
-    scenario = draw(task, 1, risk=1.0)
-    command = {"ego": EgoCommand(scenario.ego.target_speed, scenario.ego.lane)}
-    scenes = []
-    for trace in (False, True):
-        simulator.reset(scenario)
-        scenes.append([simulator.step(command, trace=trace).scene for _ in range(4)][-1])
-    assert_same_bits(scenes[0], scenes[1])
-
-
-@every_task
 def test_vehicles_begin_where_the_scenario_puts_them(task: str, simulator: SumoSimulator) -> None:
     """In the middle of their lanes, whose bends SUMO draws as polygons; but for traffic that has a warm-up."""
     scenario = draw(task, 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator
 from typing import Any
 
@@ -40,24 +39,3 @@ def test_episodes_end_as_the_golden_ones(task: str, level: str, risk: float) -> 
     golden = read(f"outcomes/{task}.json")[f"level {level}, risk {risk:g}"]
     found = outcomes.differences(outcomes.drive(task, level, risk), golden)
     assert not found, report(found)
-
-
-# -- the comparison can fail -------------------------------------------------------------------------------
-
-
-def test_a_vehicle_that_is_two_micrometres_away_or_missing_is_noticed() -> None:
-    golden = read("scenes/u-turn.json")
-    moved = copy.deepcopy(golden)
-    vehicles = next(iter(moved.values()))[2]["vehicles"]
-    vehicles["v0"][1] += 2e-6
-    (line,) = scenes.differences(moved, golden)
-    assert "/2/vehicles/v0/1: " in line
-    del vehicles["v0"]
-    (line,) = scenes.differences(moved, golden)
-    assert "/2/vehicles/v0/0" in line
-
-
-def test_regular_traffic_does_not_end_as_risky_traffic() -> None:
-    for task in TASKS:
-        regular, risky, *_ = read(f"outcomes/{task}.json").values()
-        assert outcomes.differences(regular, risky), task

@@ -17,16 +17,13 @@ import pytest
 import sumo_env
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
-from sumo_env.networks.lanes import StraightLane
 from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import Road
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import Replica
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.u_turn import UTurn
-from tests.sumo_env.plans import build, needs_sumo
 from tests.sumo_env.rollout import drive, observations
 from tests.sumo_env.scenarios import draw, with_leader
 
@@ -85,55 +82,6 @@ def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made
     assert info["crash"]["other"] == "obstacle:0" and env.scene.x[1] == 60.0
     assert info["crash"]["x"] == pytest.approx(56.5, abs=2.0)
     env.close()
-
-
-FORK = (
-    "a 0 0, b 300 0, c 600 0, k 600 -8",
-    '<edge id="a-b" from="a" to="b" numLanes="3" speed="30" spreadType="right"/>'
-    '<edge id="b-c" from="b" to="c" numLanes="2" speed="30" spreadType="right"/>'
-    '<edge id="b-k" from="b" to="k" numLanes="1" speed="30" spreadType="right" shape="300,-8 600,-8"/>',
-    "a-b 0 b-k 0, a-b 1 b-c 0, a-b 2 b-c 1",
-)
-
-
-class Fork(UTurn):
-    """Three lanes, of which the right one leads to an end of its own; the ego is alone on it or beside it."""
-
-    name = "fork"
-
-    def __init__(self, folder: Path, lane: int) -> None:
-        self.net_file, self.lane = (
-            str(build(folder, FORK, "--default.lanewidth=4", "--offset.disable-normalization=true")),
-            lane,
-        )
-
-    def road(self, config: Any) -> Road:
-        lanes = {("a", "b", i): StraightLane((0.0, 4.0 * i + 2), (300.0, 4.0 * i + 2)) for i in range(3)}
-        lanes |= {("b", "c", i): StraightLane((300.0, 4.0 * i + 2), (600.0, 4.0 * i + 2)) for i in range(2)}
-        lanes["b", "k", 0] = StraightLane((300.0, 10.0), (600.0, 10.0))
-        return Road(self.name, lanes, ends=("c", "k"), net_file=self.net_file)
-
-    def ego(self, config: Any, road: Road, *_: Any) -> Any:
-        return make_on_lane(road, "ego", ("a", "b", self.lane), 150.0, 25.0, ego_driver(self))
-
-    def vehicles(self, *_: Any) -> list[Any]:
-        return []
-
-
-@needs_sumo
-@pytest.mark.parametrize(
-    ("lane", "action", "end"),
-    [(1, 1, ("b", "c", 1)), (2, 1, ("b", "k", 0)), (1, 2, ("b", "k", 0)), (2, 0, ("b", "c", 1))],
-)
-def test_where_lanes_part_that_of_the_ego_decides(
-    tmp_path: Path, lane: int, action: int, end: tuple[str, str, int]
-) -> None:
-    with closing(DrivingEnv(Fork(tmp_path, lane), {"risk": 0.0})) as env:
-        env.reset(seed=0)
-        for step in range(9):
-            env.step(1 if step else action)
-        assert env.ego_state.lane == end
-        assert env.scene.x[0] == pytest.approx(150.0 + 9 * 25.0, abs=15.0)  # nothing held it up
 
 
 # -- tasks and drivers -------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from sumolib.geomhelper import polygonOffsetWithMinimumDistanceToPoint
 
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
-from sumo_env.networks.mapping import Network, network
+from sumo_env.networks.mapping import network
 from sumo_env.networks.meeting import Meeting, Spot
 from sumo_env.networks.roads import road
 from sumo_env.sumo import surroundings
@@ -90,7 +90,10 @@ PIECES = (  # edges of a metre
 
 
 class Other(NamedTuple):
-    """A vehicle beside the ego: its route, the lane, the point of the lane nearest to its front, the speed it keeps."""
+    """A vehicle beside the ego: its route, the lane, the point of the lane nearest to its front, the speed it keeps.
+
+    overtakes: whether it changes to the lane on its left.
+    """
 
     route: Sequence[str]
     lane: str
@@ -98,6 +101,7 @@ class Other(NamedTuple):
     y: float
     speed: float = 0.0
     length: float = CAR
+    overtakes: bool = False
 
 
 class Drive(NamedTuple):
@@ -112,9 +116,7 @@ class Drive(NamedTuple):
         return min(info["min_ttc_before_contact"] for info in self.infos)
 
 
-def straight_on(
-    folder: Path, plan: tuple[str, ...], way: Sequence[str], other: Other, changes: bool = False
-) -> Drive:
+def straight_on(folder: Path, plan: tuple[str, ...], way: Sequence[str], other: Other) -> Drive:
     """The ego drives its way as fast as allowed, and the other one knows nothing of it."""
     net = netconvert(folder, plan)
     lane = files.network(net).sumo_lanes[other.lane]
@@ -130,7 +132,7 @@ def straight_on(
         vehicle.setSpeedMode("another", 32)
         vehicle.setLaneChangeMode("another", 0)
         vehicle.setSpeed("another", other.speed)
-        if changes:
+        if other.overtakes:
             vehicle.changeLaneRelative("another", 1, 0.0)
         infos = [result[-1] for result in drive(env, FASTER)]
         return Drive(infos[-1]["crash"], infos)
@@ -139,12 +141,6 @@ def straight_on(
 def netconvert(folder: Path, plan: tuple[str, ...]) -> Path:
     """The network of a plan, in its coordinates."""
     return build(folder, plan, "--no-turnarounds", "--offset.disable-normalization")
-
-
-def inside(network: Network, start: str, end: str) -> str:
-    """The lane within the junction from one edge to another."""
-    lanes = network.sumo_lanes
-    return next(name for name in lanes[f"{start}_0"].following if lanes[name].following == (f"{end}_0",))
 
 
 # -- no contact --------------------------------------------------------------------------------------------
@@ -210,6 +206,9 @@ REAL: dict[str, tuple[Any, ...]] = {
     "one lane for both directions": (BIDI, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
     "across the end of an edge": (JUNCTION, ["wm", "me"], Other(["me"], "me_0", 206.0, 0.0), "rear-end"),
     "a ramp drawn over the road": (NARROW, ["wm", "me"], Other(["sm", "me"], "sm_0", 240.0, 0.0), "side"),
+    "within a crossing": (JUNCTION, ["wm", "me"], Other(["sm", "mn"], ":m_0_0", 201.6, 1.0), "junction"),
+    "within a merge": (MERGE, ["wm", "me"], Other(["sm", "me"], ":m_0_0", 201.6, 1.0), "rear-end"),
+    "overtaking": (OVERTAKING, ["we"], Other(["ew"], "ew_0", 250.0, 0.0, 8.0, CAR, True), "frontal"),
 }
 
 
@@ -222,29 +221,11 @@ def test_a_real_crash_is_found(case: str, tmp_path: Path) -> None:
     assert found.least_ttc < 0.2
 
 
-@pytest.mark.parametrize(
-    ("plan", "route", "kind"),
-    [(JUNCTION, ["sm", "mn"], "junction"), (MERGE, ["sm", "me"], "rear-end")],
-    ids=["crossing", "merging"],
-)
-def test_a_real_crash_within_a_junction_is_found(plan, route, kind, tmp_path: Path) -> None:
-    within = inside(files.network(netconvert(tmp_path, plan)), *route)
-    found = straight_on(tmp_path, plan, ["wm", "me"], Other(route, within, 201.6, 1.0))
-    assert (found.crash["other"], found.crash["type"]) == ("another", kind)
-    assert found.least_ttc < 0.2
-
-
 def test_a_report_of_sumo_counts_in_any_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Meeting, "can_meet", lambda *_: False)
     crash = straight_on(tmp_path, FLAT, ["we"], Other(["we"], "we_0", 150.0, 0.0)).crash
     assert (crash["other"], crash["type"]) == ("another", "rear-end")
     assert crash["detected_by"] in ("sumo", "both")
-
-
-def test_an_oncoming_vehicle_that_overtakes_is_met(tmp_path: Path) -> None:
-    found = straight_on(tmp_path, OVERTAKING, ["we"], Other(["ew"], "ew_0", 250.0, 0.0, 8.0), changes=True)
-    assert (found.crash["other"], found.crash["type"]) == ("another", "frontal")
-    assert found.least_ttc < 0.2
 
 
 def test_the_time_to_collision_looks_beyond_short_edges(tmp_path: Path) -> None:

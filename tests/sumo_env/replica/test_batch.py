@@ -23,6 +23,8 @@ ENVS = 4
 # Of the single environment's info.
 LEFT_OUT = {"rewards", "crash", "ending", "traffic_light", "traffic_light_distance", "acceleration", "jerk"}
 SEE_BEHIND = {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
+STEERING = {"type": "ContinuousAction"}
+DYNAMICAL = {"action": {**STEERING, "dynamical": True}, "observation": {"type": "Kinematics"}}
 SEEDED: dict[str, Any] = {"scenarios": "seeded"}
 
 
@@ -106,6 +108,13 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ("roundabout", {**SEEDED, "variant": "path", "config": {"risk": 0.7}}),
     ("roundabout", {**SEEDED, "risk_law": "linear", "config": {"risk": 0.7}}),
     ("u-turn", {**SEEDED, "variant": "connected", "config": {"observation": SEE_BEHIND}}),
+    # steering
+    ("intersection", {"version": 1}),
+    ("highway", {"mode": "SameStep", "threads": 2, "config": {"action": STEERING}}),
+    ("two-way", {"config": {"action": STEERING, "observation": {"type": "Kinematics"}}}),
+    ("roundabout", {"version": 1, "threads": 2, "config": {"action": {**STEERING, "lateral": False}}}),
+    ("roundabout", {"config": {"action": {"type": "DiscreteAction"}}}),
+    ("u-turn", {"version": 1, "mode": "SameStep", "threads": 2, "config": DYNAMICAL}),
 ]
 
 
@@ -114,24 +123,6 @@ def test_episodes_are_those_of_single_environments(task: str, keywords: dict[str
     envs = pair(task, **keywords)
     assert_equal(*(env.reset(seed=7) for env in envs))
     assert drive_both(envs, 80, seed=7) >= 2 * ENVS
-
-
-STEERING = {"type": "ContinuousAction"}
-STEERED: list[tuple[str, int, dict[str, Any], int]] = [  # task, version, configuration, threads
-    ("intersection", 1, {}, 1),
-    ("highway", 0, {"action": STEERING}, 2),
-    ("two-way", 0, {"action": STEERING, "observation": {"type": "Kinematics"}}, 1),
-    ("roundabout", 1, {"action": {**STEERING, "lateral": False}}, 2),
-    ("roundabout", 0, {"action": {"type": "DiscreteAction"}}, 1),
-    ("u-turn", 1, {"action": {**STEERING, "dynamical": True}, "observation": {"type": "Kinematics"}}, 2),
-]
-
-
-@pytest.mark.parametrize(("task", "version", "config", "threads"), STEERED, ids=str)
-def test_steered_ones_too(task: str, version: int, config: dict[str, Any], threads: int) -> None:
-    envs = pair(task, "SameStep" if threads == 2 else "NextStep", threads, version, config=config)
-    assert_equal(*(env.reset(seed=[3, 1, 8, 1]) for env in envs))
-    drive_both(envs, 40, seed=0)
 
 
 @pytest.mark.parametrize(

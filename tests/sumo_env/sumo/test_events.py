@@ -16,7 +16,7 @@ from sumo_env.contacts.rectangles import State
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.events import Moment
-from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR, Session
+from sumo_env.sumo.session import REGULAR, Session
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks.highway import Highway
 from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent, free_way
@@ -80,18 +80,6 @@ def test_a_cut_in_takes_the_other_lane_where_the_first_has_no_room(simulator: Su
         scene = simulator.step({"ego": EgoCommand(25.0, scenario.ego.lane)}).scene
         wanted = 8.0 if direction == 1 and len(others) == 1 else 0.0
         assert scene.y[1] == pytest.approx(wanted, abs=0.3)
-
-
-def test_after_a_cut_in_lane_changes_are_sumo_s_again(simulator: SumoSimulator) -> None:
-    scenario = draw("highway", 1)
-    name = scenario.vehicles[5].id
-    event = RiskEvent(0.0, name, "cut-in", direction=-1)
-    simulator.reset(replace(scenario, events=(event,)))
-    modes = []
-    for _ in range(3):
-        simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
-        modes.append(libsumo.vehicle.getLaneChangeMode(name))
-    assert modes == [COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, OWN_LANE_CHANGES]
 
 
 def test_a_swerve_into_the_oncoming_lane_ends_in_the_own_lane(simulator: SumoSimulator) -> None:

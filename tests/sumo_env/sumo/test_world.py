@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
-from sumo_env.simulator import EgoCommand, SimulatorError
+from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.engine import Engine
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.world import SumoSimulator
@@ -224,15 +224,6 @@ def test_vehicles_that_reach_the_end_of_the_road_are_gone(start: Start, task: st
     for _ in range(80):
         env.step(SLOWER)
     assert len(env.scene) < count
-
-
-def test_an_ego_that_reaches_the_end_of_the_road_is_told_so(start: Start) -> None:
-    env = start("roundabout", alone, duration=100)
-    with pytest.raises(SimulatorError, match=r"driven off the end of the road.*shorter 'duration'"):
-        for _ in range(100):
-            env.step(FASTER)
-    env.reset(seed=0)
-    env.step(IDLE)
 
 
 def test_vehicles_out_of_reach_make_no_difference(start: Start) -> None:

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.simulator import SimulatorError
-from tests.sumo_env.plans import QUIET, build, endings, grid, needs_sumo, route_file
+from tests.sumo_env.plans import build, grid, needs_sumo, route_file
 from tests.sumo_env.rollout import drive, observations
 
 pytestmark = needs_sumo
@@ -83,13 +83,6 @@ def test_a_generated_network_is_driven(blocks: Path, risk: float) -> None:
     np.testing.assert_array_equal(observations(other, 1, seed=3), first)
     picture = env.render()
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
-
-
-def test_the_ego_arrives_in_the_lane_that_leads_on_and_misses_its_turn_in_the_other(blocks: Path) -> None:
-    env = SumoDrivingEnv(blocks, ROUTES, ["A0A1", "A1B1"], QUIET)
-    keeps = 60 * [1]
-    assert endings(env, range(2), [2, 2, *keeps]) == {"arrived_reward"}  # a right turn, from the right lane
-    assert endings(env, range(2), [0, 0, *keeps]) == {"missed_turn_reward"}
 
 
 def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:

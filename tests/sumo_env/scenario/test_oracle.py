@@ -22,11 +22,12 @@ SECONDS = 300
 NOTHING = EgoCommand(None, None)
 
 
-def plain(command: str, folder: Path, end: float) -> Rows:
-    """What ``sumo`` itself does, without libsumo."""
+def plain(command: str, folder: Path, scenes: list[tuple[float, Scene]]) -> Rows:
+    """What ``sumo`` itself does, without libsumo, as long as these scenes."""
     out = folder / "plain.fcd.xml"
     arguments = [str(SUMO), *shlex.split(command)[1:]]
-    arguments += ["--fcd-output", str(out), "--end", f"{end:g}", "--precision", "6"]
+    arguments += ["--fcd-output", str(out), "--fcd-output.attributes", "x,y,lane,speed"]
+    arguments += ["--end", f"{scenes[-1][0] + 1.0:g}", "--precision", "6"]
     subprocess.run(arguments, check=True, capture_output=True)
     rows = floating_car_data(out)
     return {time: {name: car for name, car in cars.items() if "lane" in car} for time, cars in rows.items()}
@@ -82,8 +83,8 @@ def test_where_nothing_is_commanded_everybody_is_where_sumo_has_them(name: str, 
     env.reset(seed=1)
     of_another_seed = driven(env, 30)
     env.reset(seed=7)
-    rows = plain(env.sumo_command, tmp_path, SECONDS)
     scenes = driven(env, SECONDS)
+    rows = plain(env.sumo_command, tmp_path, scenes)
     assert len(scenes) > 100 and len({car for _, scene in scenes for car in scene.ids}) > 15
     assert differences(scenes, rows, 0.1) == []
     assert differences(of_another_seed, rows, 0.1)  # the comparison can fail
@@ -105,7 +106,7 @@ def test_an_ego_that_sumo_drives_is_where_sumo_has_it(tmp_path: Path) -> None:
             over = env.step(0)[2]
             scenes.append((begin + env.scene.time, env.scene))
         assert env.scene.place is not None and env.scene.place.ended == "arrived" and len(scenes) > 100
-        assert differences(scenes[:-1], plain(env.sumo_command, tmp_path, SECONDS), 0.1) == []
+        assert differences(scenes[:-1], plain(env.sumo_command, tmp_path, scenes), 0.1) == []
         env.close()
 
 
@@ -117,8 +118,8 @@ def test_an_added_car_changes_nothing_before_it_comes_and_little_on_the_whole_la
     env = SumoDrivingEnv(config, ego_trips=[("B2B1", "A1A0")], config={"warm_up": 60, "duration": SECONDS})
     env.reset(seed=3)
     assert env.ego_id != "ego" and env.scene.ids[0] == env.ego_id
-    rows = plain(env.sumo_command, tmp_path, SECONDS)
     later = driven(env, SECONDS)
+    rows = plain(env.sumo_command, tmp_path, later)
     begin, first = later[0]
     before = {name: car for name, car in rows[round(begin - 0.1, 2)].items() if name in first.ids}
     assert len(before) == len(first) - 1  # without the ego

@@ -24,9 +24,15 @@ except ImportError:
 SUMO = Path(SUMO_HOME) / "bin" / "sumo"  # itself: the script of this name beside Python starts a Python first
 needs_sumo = pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[gui]'")
 QUIET: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
-# Nodes, edges and connections, each as XML or as the values of KINDS with commas between.
+SUMO_DRIVES: dict[str, Any] = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
+# Nodes, edges and connections, each as XML or as the values of KINDS with commas between, of which the last may lack.
 Plan = tuple[str, ...]
-KINDS = {"node": "id x y", "edge": "id from to numLanes speed", "connection": "from fromLane to toLane"}
+KINDS = {"node": "id x y type", "edge": "id from to numLanes speed", "connection": "from fromLane to toLane"}
+
+
+def streets(*names: str, lanes: int = 1) -> str:
+    """Edges of a plan, each by the names of its two nodes."""
+    return ", ".join(f"{name} {name[0]} {name[1]} {lanes} 14" for name in names)
 
 
 def build(folder: Path, plan: Plan, *options: str) -> Path:
@@ -43,7 +49,7 @@ def converted(plan: Plan, options: tuple[str, ...]) -> bytes:
         net = Path(folder) / "plan.net.xml"
         for (tag, names), text in zip(KINDS.items(), plan, strict=False):
             if "<" not in text:
-                rows = [dict(zip(names.split(), row.split(), strict=True)) for row in text.split(",")]
+                rows = [dict(zip(names.split(), row.split(), strict=False)) for row in text.split(",")]
                 text = "".join(ElementTree.tostring(ElementTree.Element(tag, row), "unicode") for row in rows)
             file = net.with_name(f"{tag}s.xml")
             file.write_text(f"<{tag}s>{text}</{tag}s>")

@@ -13,7 +13,7 @@ import pytest
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.hand_over import HandOver
 from sumo_env.scene import MAX_SPEED
-from tests.sumo_env.plans import QUIET, build
+from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build
 from tests.sumo_env.rollout import drive
 from tests.tasks import every_task
 
@@ -21,15 +21,12 @@ TYPES = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
 AXES = (True, False, "sumo")
 WAYS = [way for way in product(AXES, AXES) if any(way)]
 COMMANDED, SUMO_S = 32, 31  # SUMO's speed modes; likewise 0 and 1621 for lane changes
-BOTH = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
 # 300 m with two lanes, of which the left one alone leads on to 300 m more
 STRAIGHT = (
-    '<node id="a" x="0" y="0"/><node id="b" x="300" y="0"/><node id="c" x="600" y="0"/>'
-    '<node id="d" x="500" y="-200"/>',
-    '<edge id="ab" from="a" to="b" numLanes="2" speed="20"/><edge id="bc" from="b" to="c" speed="20"/>'
-    '<edge id="bd" from="b" to="d" speed="10"/>',
-    '<connection from="ab" fromLane="1" to="bc" toLane="0"/><connection from="ab" fromLane="0" to="bd" toLane="0"/>',
+    "a 0 0, b 300 0, c 600 0, d 500 -200",
+    "ab a b 2 20, bc b c 1 20, bd b d 1 10",
+    "ab 1 bc 0, ab 0 bd 0",
 )
 
 
@@ -80,7 +77,7 @@ def test_what_the_agent_does_not_control_sumo_drives_in_all_combinations(kind: s
 @pytest.mark.parametrize("risk", [0.0, 1.0])
 @every_task
 def test_on_the_five_tasks_sumo_s_driver_is_the_regular_one_whatever_the_risk(task: str, risk: float) -> None:
-    env = DrivingEnv(task, {"action": BOTH, "risk": risk})
+    env = DrivingEnv(task, {"action": SUMO_DRIVES, "risk": risk})
     env.reset(seed=3)
     regular, vehicle = env.task.car_following, env.sumo.vehicle
     seen = vehicle.getAccel("ego"), vehicle.getDecel("ego"), vehicle.getTau("ego"), vehicle.getMinGap("ego")
@@ -107,7 +104,9 @@ def test_sumo_has_the_pedals_for_an_agent_that_changes_lanes() -> None:
     """It keeps its distance, where an ego that holds its speed runs into the next car."""
     crashed = []
     for longitudinal in ("sumo", False):
-        env = DrivingEnv("highway", {"action": {**BOTH, "longitudinal": longitudinal, "lateral": True}})
+        env = DrivingEnv(
+            "highway", {"action": {**SUMO_DRIVES, "longitudinal": longitudinal, "lateral": True}}
+        )
         *_, (*_, info) = drive(env, IDLE, seed=1)
         crashed.append(info["crashed"])
         env.close()

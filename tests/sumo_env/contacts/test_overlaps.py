@@ -12,25 +12,20 @@ from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import Session
-from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
+from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, needs_sumo, route_file, streets
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.driven import KINDS
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*")]
 LEFT, IDLE, RIGHT, FASTER, _ = range(5)
-SUMO_DRIVES = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
 KEY = "overlaps_are_crashes"
 
-ROAD = '<node id="a" x="0" y="0"/><node id="b" x="300" y="0"/>'
-TWO = ROAD, '<edge id="ab" from="a" to="b" numLanes="2" speed="20"/>'
-WIDE = ROAD, '<edge id="ab" from="a" to="b" numLanes="3" speed="20"/>'
+ROAD = "a 0 0, b 300 0"
+TWO, WIDE = (ROAD, "ab a b 2 20"), (ROAD, "ab a b 3 20")
 CROSSING = (
-    '<node id="w" x="-100" y="0"/><node id="e" x="100" y="0"/><node id="s" x="0" y="-100"/>'
-    '<node id="n" x="0" y="100"/><node id="c" x="0" y="0" type="{}"/>',
-    "".join(
-        f'<edge id="{way}" from="{way[0]}" to="{way[1]}" speed="14"/>' for way in ("wc", "ce", "sc", "cn")
-    ),
-    '<connection from="wc" to="ce"/><connection from="sc" to="cn"/>',
+    "w -100 0, e 100 0, s 0 -100, n 0 100, c 0 0 {}",
+    streets("wc", "ce", "sc", "cn"),
+    "wc 0 ce 0, sc 0 cn 0",
 )
 
 

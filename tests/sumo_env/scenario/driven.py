@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from random import Random
 
-from tests.sumo_env.plans import build, grid, route_file
+from tests.sumo_env.plans import build, grid, route_file, streets
 
 TYPES = """
     <vType id="car" carFollowModel="IDM" probability="3"/>
@@ -84,11 +84,7 @@ def junctions(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
     kind = rng.choice(["unregulated", "traffic_light"])
     nodes = f'<node id="c" x="0" y="0" radius="25" type="{kind}"/>'
     nodes += "".join(f'<node id="{name}" x="{x}" y="{y}"/>' for name, (x, y) in ends.items())
-    edges = "".join(
-        f'<edge id="{a}{b}" from="{a}" to="{b}" numLanes="2" speed="14"/>'
-        for name in ends
-        for a, b in ((name, "c"), ("c", name))
-    )
+    edges = streets(*(way for name in ends for way in (f"{name}c", f"c{name}")), lanes=2)
     net = build(folder, (nodes, edges), "--no-turnarounds")
     ways = [_between(f"{a}c", f"c{b}") for a, b in ("wn", "es", "we", "ns")]
     return net, _routes(folder, ways, rng, ways[0]), []
@@ -99,11 +95,7 @@ def bridges(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
     places = {"w": (0, 0, 8), "e": (250, 0, 8), "s": (100, -120, 0), "n": (100, 120, 0)}
     places |= {"t": (150, 120, 8), "q": (150, -120, 8)}
     nodes = "".join(f'<node id="{name}" x="{x}" y="{y}" z="{z}"/>' for name, (x, y, z) in places.items())
-    edges = "".join(
-        f'<edge id="{way}" from="{way[0]}" to="{way[1]}" numLanes="2" speed="14"/>'
-        for way in ("we", "sn", "tq")
-    )
-    net = build(folder, (nodes, edges), "--no-turnarounds")
+    net = build(folder, (nodes, streets("we", "sn", "tq", lanes=2)), "--no-turnarounds")
     ways = [_between(way, way) for way in ("we", "sn", "tq")]
     return (
         net,

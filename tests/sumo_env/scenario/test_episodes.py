@@ -17,7 +17,7 @@ from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.scene import ON_ITS_WAY, Scene
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.network import NetworkTask
-from tests.sumo_env.plans import QUIET, build, floating_car_data, needs_sumo
+from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, floating_car_data, needs_sumo
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.files import written
 from tests.sumo_env.scenario.test_oracle import fronts
@@ -237,8 +237,7 @@ def test_outputs_go_nowhere_or_each_episode_has_its_own(tmp_path: Path) -> None:
 
 def test_a_route_may_use_an_edge_twice(town: Path) -> None:
     round_trip = ["A0A1", "A1B1", "B1B0", "B0A0", "A0A1", "A1A2"]
-    action = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
-    env = SumoDrivingEnv(town, ego_route=round_trip, config={"action": action, "duration": 300})
+    env = SumoDrivingEnv(town, ego_route=round_trip, config={"action": SUMO_DRIVES, "duration": 300})
     env.reset(seed=3)
     shares, driven = [], [env.scene.place.ahead[0]]
     for *_, info in drive(env, 0):

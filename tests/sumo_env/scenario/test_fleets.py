@@ -13,7 +13,7 @@ import pytest
 import sumo_env
 from sumo_env.env import SumoDrivingEnv
 from tests.processes import ended
-from tests.sumo_env.plans import build, floating_car_data, needs_sumo, route_file
+from tests.sumo_env.plans import SUMO_DRIVES, build, floating_car_data, needs_sumo, route_file
 
 pytest.importorskip("pettingzoo")
 
@@ -25,7 +25,6 @@ TRAFFIC = """
     <vehicle id="late" type="cav" depart="12"><route edges="ab bc"/></vehicle>
     <flow id="g" type="cav" begin="30" end="900" period="5"><route edges="ab bc"/></flow>
 """
-WATCHED = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}  # SUMO drives
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +41,7 @@ def places(scene: Any) -> dict[str, float]:
 def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> None:
     """car_0 departs ten seconds after car_1. SUMO drives both: all drive as without a second learning car."""
     network, routes = road
-    config = {"duration": 40, "action": WATCHED}
+    config = {"duration": 40, "action": SUMO_DRIVES}
     picture: dict[str, Any] = {"render_mode": "rgb_array", "routes": routes}
     env = sumo_env.parallel_env(network, config, vehicles=["late", "early"], **picture)
     single = SumoDrivingEnv(network, routes, ego_vehicle="early", config=config)
@@ -92,7 +91,7 @@ def test_a_further_car_writes_the_episode_of_all_and_imagines_what_is_to_come(
 def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
     """Further vehicles of the type are SUMO's; a car that has arrived leaves the agents."""
     network, routes = road
-    config = {"duration": 150, "action": {**WATCHED, "longitudinal": True}}
+    config = {"duration": 150, "action": {**SUMO_DRIVES, "longitudinal": True}}
     env = sumo_env.parallel_env(network, config, routes=routes, vehicle_type="cav", max_cars=4)
     env.reset(seed=0)
     assert env.agents == ["car_0"] and len(env.possible_agents) == 4
@@ -146,7 +145,7 @@ def test_for_super_suit_all_agents_act_from_the_beginning(road: tuple[Path, Path
     supersuit = pytest.importorskip("supersuit")
     from sumo_env.parallel import AllAgents
 
-    config = {"duration": 15, "action": WATCHED}
+    config = {"duration": 15, "action": SUMO_DRIVES}
     cars = sumo_env.parallel_env(road[0], config, routes=road[1], vehicle_type="cav", max_cars=3)
     envs = supersuit.pettingzoo_env_to_vec_env_v1(AllAgents(cars))
     seen, _ = envs.reset(seed=0)

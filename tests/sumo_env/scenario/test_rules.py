@@ -8,26 +8,20 @@ import numpy as np
 import pytest
 
 from sumo_env.env import SumoDrivingEnv
-from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
+from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, needs_sumo, route_file, streets
 from tests.sumo_env.rollout import drive
 
 pytestmark = needs_sumo
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
-NODES = "".join(
-    f'<node id="{name}" x="{x}" y="{y}"/>' for name, x, y in (("a", 0, 0), ("c", 900, 0), ("d", 600, 300))
-)
 AHEAD = '<edge id="bc" from="b" to="c" numLanes="2" speed="20"/><edge id="bd" from="b" to="d" speed="14"/>'
 # The right lane turns right... to the left lane there is no way but straight on; of three lanes, 0 is the rightmost.
-TURNS = "".join(
-    f'<connection from="ab" fromLane="{one}" to="{edge}" toLane="{other}"/>'
-    for one, edge, other in ((0, "bc", 0), (1, "bc", 1), (2, "bd", 0))
-)
+TURNS = "ab 0 bc 0, ab 1 bc 1, ab 2 bd 0"
 
 
 def road(folder: Path, lanes: str, *options: str, light: str = "priority") -> Path:
     """600 m with three lanes; the left one leads to bd, the others to bc."""
     edge = f'<edge id="ab" from="a" to="b" numLanes="3" speed="20">{lanes}</edge>'
-    nodes = f'{NODES}<node id="b" x="600" y="0" type="{light}"/>'
+    nodes = f"a 0 0, b 600 0 {light}, c 900 0, d 600 300"
     return build(folder, (nodes, edge + AHEAD, TURNS), *options)
 
 
@@ -40,6 +34,13 @@ def start(net: Path, way: str = "bc", **config: object) -> SumoDrivingEnv:
 def number(env: SumoDrivingEnv) -> int:
     """SUMO's number of the ego's lane."""
     return int(env.sumo.vehicle.getLaneID("ego")[-1])
+
+
+def show(env: SumoDrivingEnv, letter: str) -> None:
+    """All lights that there are show the same."""
+    lights = env.sumo.trafficlight
+    for light in lights.getIDList():
+        lights.setRedYellowGreenState(light, letter * len(lights.getRedYellowGreenState(light)))
 
 
 def test_a_lane_change_over_a_solid_line_is_not_available(tmp_path: Path) -> None:
@@ -121,18 +122,14 @@ def test_left_is_left_where_people_drive_on_the_left(tmp_path: Path, left_hand: 
 @pytest.mark.parametrize("light", ["priority", "traffic_light"])
 def test_the_ego_sees_to_whom_it_has_to_give_way(tmp_path: Path, light: str) -> None:
     """Others come towards it: one turns to the road bd, to which the ego turns left, one drives straight on."""
-    nodes = '<node id="a" x="0" y="0"/><node id="c" x="400" y="0"/><node id="d" x="200" y="200"/>'
-    nodes += f'<node id="b" x="200" y="0" type="{light}"/>'
-    roads = ("ab", "ba", "bc", "cb", "bd", "db")
-    edges = "".join(f'<edge id="{road}" from="{road[0]}" to="{road[1]}" speed="14"/>' for road in roads)
+    plan = f"a 0 0, b 200 0 {light}, c 400 0, d 200 200", streets("ab", "ba", "bc", "cb", "bd", "db")
     seen = {"type": "Kinematics", "features": ["foe_gap", "foe_speed"], "normalize": False}
     for way, sees in ((["ab", "bd"], True), (["ab", "bc"], False)):
-        net = build(tmp_path, (nodes, edges))
+        net = build(tmp_path, plan)
         env = SumoDrivingEnv(net, ego_route=way, config={**QUIET, "duration": 60, "observation": seen})
         assert env.reset(seed=0)[0][0].tolist() == [200.0, 0.0]
-        lights, vehicle = env.sumo.trafficlight, env.sumo.vehicle
-        for one in lights.getIDList():
-            lights.setRedYellowGreenState(one, "g" * len(lights.getRedYellowGreenState(one)))
+        vehicle = env.sumo.vehicle
+        show(env, "g")
         env.sumo.route.add("straight", ["cb", "ba"])
         env.sumo.route.add("off", ["cb", "bd"])
         length = env.sumo.lane.getLength("cb_0")
@@ -151,8 +148,8 @@ def test_the_ego_sees_to_whom_it_has_to_give_way(tmp_path: Path, light: str) -> 
             nearest = min(coming, default=(200.0, 0.0)) if sees else (200.0, 0.0)
             assert (gap, speed) == pytest.approx(nearest)
         assert (len(set(gaps)) > 5 and 0.0 in gaps) == sees
-        for one in lights.getIDList():  # a red light stops the others
-            lights.setRedYellowGreenState(one, "r" * len(lights.getRedYellowGreenState(one)))
+        if light == "traffic_light":  # a red one stops the others
+            show(env, "r")
             vehicle.add("third", "straight", departPos=f"{length - 60}", departSpeed="10")
             assert env.step(SLOWER)[0][0].tolist() == [200.0, 0.0]
         env.close()
@@ -166,8 +163,7 @@ def test_an_ego_that_overtakes_on_the_lane_of_oncoming_traffic_makes_progress(tm
     file = route_file(
         tmp_path, f'<vType id="DEFAULT_VEHTYPE"/>{slow}<trip id="ego" depart="3" from="ab" to="bc"/>'
     )
-    by_sumo = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
-    env = SumoDrivingEnv(net, file, ego_vehicle="ego", config={"duration": 90, "action": by_sumo})
+    env = SumoDrivingEnv(net, file, ego_vehicle="ego", config={"duration": 90, "action": SUMO_DRIVES})
     env.reset(seed=0)
     env.sumo.vehicle.setMaxSpeed("slow", 4.0)
     shares, edges = [], set()
@@ -180,17 +176,11 @@ def test_an_ego_that_overtakes_on_the_lane_of_oncoming_traffic_makes_progress(tm
 
 def test_a_junction_before_a_red_light_is_no_red_light(tmp_path: Path) -> None:
     """The next light on the way is red already when the ego drives over b."""
-    nodes = '<node id="a" x="0" y="0"/><node id="b" x="200" y="0"/><node id="s" x="200" y="-100"/>'
-    nodes += '<node id="c" x="400" y="0" type="traffic_light"/><node id="t" x="400" y="-100"/>'
-    nodes += '<node id="d" x="600" y="0"/>'
-    roads = ("ab", "bc", "cd", "sb", "tc")
-    edges = "".join(f'<edge id="{road}" from="{road[0]}" to="{road[1]}" speed="14"/>' for road in roads)
-    env = SumoDrivingEnv(
-        build(tmp_path, (nodes, edges)), ego_route=["ab", "bc", "cd"], config={**QUIET, "duration": 90}
-    )
+    nodes = "a 0 0, b 200 0, s 200 -100, c 400 0 traffic_light, t 400 -100, d 600 0"
+    net = build(tmp_path, (nodes, streets("ab", "bc", "cd", "sb", "tc")))
+    env = SumoDrivingEnv(net, ego_route=["ab", "bc", "cd"], config={**QUIET, "duration": 90})
     env.reset(seed=0)
-    light = env.sumo.trafficlight.getIDList()[0]
-    env.sumo.trafficlight.setRedYellowGreenState(light, "rr")
+    show(env, "r")
     seen = []
     while not env.scene.place.ended:
         info = env.step(FASTER)[-1]
@@ -211,33 +201,29 @@ def red_lights(env: SumoDrivingEnv) -> tuple[list[bool], bool]:
 def test_a_light_that_is_run_is_an_event_that_can_be_priced_and_can_end_an_episode(tmp_path: Path) -> None:
     net = road(tmp_path, "", light="traffic_light")
     env = start(net, policy_frequency=10)
-    light = env.sumo.trafficlight.getIDList()[0]
-    shown = len(env.sumo.trafficlight.getRedYellowGreenState(light))
-    env.sumo.trafficlight.setRedYellowGreenState(light, "r" * shown)
+    show(env, "r")
     seen, _ = red_lights(env)
     assert sum(seen) == 1 and env.scene.place.ended == "arrived"
     env = start(net, policy_frequency=10, red_light_terminal=True, red_light_reward=-3)
-    env.sumo.trafficlight.setRedYellowGreenState(light, "r" * shown)
+    show(env, "r")
     seen, over = red_lights(env)
     assert over and seen[-1] and env.ego_state.lane[0] != "ab:from"
     assert env._reward(FASTER) < -2.0
     env = start(net, policy_frequency=10)
-    env.sumo.trafficlight.setRedYellowGreenState(light, "G" * shown)
+    show(env, "G")
     assert not any(red_lights(env)[0])
     env = start(net, policy_frequency=10, obey_traffic_lights=True)
-    env.sumo.trafficlight.setRedYellowGreenState(light, "r" * shown)
+    show(env, "r")
     assert not any(red_lights(env)[0]) and env.scene.speed[0] < 0.1
 
 
 def test_a_red_light_that_turns_green_as_the_ego_passes_is_not_run(tmp_path: Path) -> None:
     """What counts is the light in the very step of SUMO in which the stop line is passed."""
     env = start(road(tmp_path, "", light="traffic_light"), policy_frequency=1)
-    light = env.sumo.trafficlight.getIDList()[0]
-    shown = len(env.sumo.trafficlight.getRedYellowGreenState(light))
-    env.sumo.trafficlight.setRedYellowGreenState(light, "r" * shown)
+    show(env, "r")
     while env.step(FASTER)[4]["traffic_light_distance"] > 25.0:
         pass
-    env.sumo.trafficlight.setRedYellowGreenState(light, "G" * shown)
+    show(env, "G")
     for _ in range(4):
         assert not env.step(IDLE)[4]["red_light"]
 

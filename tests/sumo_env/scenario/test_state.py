@@ -13,13 +13,13 @@ import pytest
 
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.scene import SECONDS_LEFT
-from tests.sumo_env.plans import QUIET, build, grid, needs_sumo, route_file
+from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, grid, needs_sumo, route_file, streets
 from tests.sumo_env.rollout import drive
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*")]
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
-NODES = '<node id="a" x="0" y="0"/><node id="b" x="1500" y="0"/>'
-WIDE = NODES, '<edge id="ab" from="a" to="b" numLanes="4" speed="20"/>'
+NODES = "a 0 0, b 1500 0"
+WIDE = NODES, "ab a b 4 20"
 LANES = {
     "": [],
     "sublanes": ["--lateral-resolution", "0.8"],
@@ -58,15 +58,13 @@ def test_an_offered_lane_change_is_made_within_5_s(tmp_path: Path, options: str,
 def test_the_fastest_speed_of_a_type_holds_for_commands(
     tmp_path: Path, attributes: str, most: float, kind: str
 ) -> None:
-    fast = '<edge id="ab" from="a" to="b" numLanes="1" speed="25"/>'
+    net = build(tmp_path, (NODES, "ab a b 1 25"))
     routes = route_file(
         tmp_path,
         f'<vType id="own" {attributes}/><vehicle id="ego" type="own" depart="0"><route edges="ab"/></vehicle>',
     )
     config = {"action": {"type": kind}, "duration": 40}
-    with closing(
-        SumoDrivingEnv(build(tmp_path, (NODES, fast)), routes, ego_vehicle="ego", config=config)
-    ) as env:
+    with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config)) as env:
         env.reset(seed=0)
         speeds = [
             result[-1]["speed"]
@@ -78,19 +76,13 @@ def test_the_fastest_speed_of_a_type_holds_for_commands(
 
 
 def test_a_car_that_parks_makes_no_progress_and_is_paid_no_more_than_the_way(tmp_path: Path) -> None:
-    plan = (
-        '<node id="a" x="0" y="0"/><node id="b" x="200" y="0"/><node id="c" x="400" y="0"/>',
-        '<edge id="ab" from="a" to="b" speed="14"/><edge id="bc" from="b" to="c" speed="14"/>',
-    )
+    net = build(tmp_path, ("a 0 0, b 200 0, c 400 0", streets("ab", "bc")))
     for parks in ("true", "false"):
         stop = f'<stop lane="bc_0" endPos="60" duration="6" parking="{parks}"/>'
         routes = route_file(tmp_path, f'<vehicle id="ego" depart="0"><route edges="ab bc"/>{stop}</vehicle>')
-        both = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
-        for config in ({"action": both}, {}):
+        for config in ({"action": SUMO_DRIVES}, {}):
             settings = {"duration": 120, "policy_frequency": 2, **config}
-            with closing(
-                SumoDrivingEnv(build(tmp_path, plan), routes, ego_vehicle="ego", config=settings)
-            ) as env:
+            with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=settings)) as env:
                 env.reset(seed=0)
                 action, stopped = (0 if config else FASTER), 0
                 results = []

@@ -20,14 +20,10 @@ from tests.sumo_env.plans import QUIET, build, route_file
 
 FASTER, SLOWER = 3, 4
 SEEN = {"type": "LeadersFollowers", "normalize": False}
-STRAIGHT = (
-    '<node id="a" x="0" y="0"/><node id="b" x="300" y="0" type="KIND"/><node id="c" x="600" y="0"/>',
-    '<edge id="ab" from="a" to="b" numLanes="3" speed="20"/><edge id="bc" from="b" to="c" numLanes="3" speed="20"/>',
-)
 
 
 def net(folder: Path, *options: str, kind: str = "priority") -> Path:
-    return build(folder, (STRAIGHT[0].replace("KIND", kind), STRAIGHT[1]), *options)
+    return build(folder, (f"a 0 0, b 300 0 {kind}, c 600 0", "ab a b 3 20, bc b c 3 20"), *options)
 
 
 def road(path: Path, seed: int = 0, **config: Any) -> SumoDrivingEnv:

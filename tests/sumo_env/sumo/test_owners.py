@@ -26,7 +26,7 @@ from sumo_env.tasks import TASKS
 from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, RiskRates, pushes
 from sumo_env.traffic.scenario import Scenario
-from tests.sumo_env.plans import needs_sumo
+from tests.sumo_env.plans import SUMO_DRIVES, needs_sumo
 from tests.sumo_env.scenario import files
 from tests.sumo_env.scenarios import draw
 from tests.tasks import every_task
@@ -34,7 +34,6 @@ from tests.tasks import every_task
 HZ = 10  # of policy steps too, so that every sub-step is looked at
 KINDS = ("cut-in", "brake", "surge")
 ENOUGH = pytest.param(range(2, 60), marks=pytest.mark.long)
-WATCHED = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}  # SUMO drives
 PACKAGE = Path(sumo_env.__file__).parent
 WRECKED = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES
 FURTHER = 1e-6  # [m/s] that a speed may differ from SUMO's own
@@ -133,7 +132,7 @@ def test_after_any_events_a_vehicle_of_a_task_is_sumo_s(
 @pytest.mark.parametrize("seeds", [range(2), ENOUGH])
 def test_after_any_events_a_vehicle_of_files_is_sumo_s(tmp_path: Path, name: str, seeds: range) -> None:
     """Drivers that do not give way do not give way after an event either."""
-    config = {"risk": 1.0, "policy_frequency": HZ, "duration": 40, "action": WATCHED}
+    config = {"risk": 1.0, "policy_frequency": HZ, "duration": 40, "action": SUMO_DRIVES}
     env = SumoDrivingEnv(files.written(tmp_path / name, name), ego_vehicle="ego", config=config)
     rates = {"cut_in": 0.3, "brake": 0.3, "surge": 0.3}
     acted = set[str]()

@@ -16,7 +16,7 @@ from sumo_env.networks.roads import Road
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.u_turn import UTurn
-from tests.sumo_env.plans import build, needs_sumo, route_file
+from tests.sumo_env.plans import SUMO_DRIVES, build, needs_sumo, route_file
 from tests.sumo_env.rollout import drive
 
 LEFT, IDLE, RIGHT = range(3)
@@ -152,8 +152,7 @@ def test_nor_does_a_cut_in(tmp_path: Path) -> None:
         start = 'begin="0" end="900" probability="0.5" departLane="best" departSpeed="10"'
         cars += f'<flow id="{way}" {start}><route edges="a-b {way}"/></flow>'
     routes = route_file(tmp_path, cars)
-    action = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
-    config = {"risk": 1.0, "duration": 90, "simulation_frequency": 5, "action": action}
+    config = {"risk": 1.0, "duration": 90, "simulation_frequency": 5, "action": SUMO_DRIVES}
     first, env = (
         SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, sumo_options=LASTING) for _ in range(2)
     )

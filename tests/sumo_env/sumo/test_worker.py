@@ -45,29 +45,33 @@ def nothing_is_left() -> Iterator[None]:
     assert descriptors() == before
 
 
+@pytest.fixture(scope="module")
+def source() -> Iterator[SumoProcess]:
+    """One that was started, which takes half a second; others are forked from it."""
+    with closing(SumoProcess(FAKE)) as simulator:
+        simulator.reset(scenario())
+        yield simulator
+
+
 @pytest.fixture
-def simulator() -> Iterator[SumoProcess]:
-    simulator = SumoProcess(FAKE)
-    yield simulator
-    simulator.close()
+def simulator(source: SumoProcess) -> Iterator[SumoProcess]:
+    with closing(source.clone()) as simulator:
+        yield simulator
 
 
 # -- from its start to its end, by each way to a worker ----------------------------------------------------
 
 
 @pytest.fixture(params=["started", "forked"])
-def begun(request: pytest.FixtureRequest) -> Iterator[SumoProcess]:
+def begun(request: pytest.FixtureRequest, source: SumoProcess) -> Iterator[SumoProcess]:
     """A worker of each kind, one step into episode 7 of the fake simulator."""
-    simulator = SumoProcess(FAKE)
-    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
-        simulator.step({"ego": COMMAND})
-    assert len(simulator.reset(scenario(7, others=50_000))) == 50_001  # a large message
-    step = simulator.step({"ego": COMMAND}, trace=True)
-    assert len(step.trace) == 3 and len(step.trace[2]) == 50_001
-    one = simulator.clone() if request.param == "forked" else simulator
-    yield one
-    simulator.close()
-    one.close()
+    with closing(SumoProcess(FAKE)) as fresh:
+        one = source if request.param == "forked" else fresh
+        assert len(one.reset(scenario(7, others=50_000))) == 50_001  # a large message
+        step = one.step({"ego": COMMAND}, trace=True)
+        assert len(step.trace) == 3 and len(step.trace[2]) == 50_001
+        with closing(one.clone() if one is source else one) as worker:
+            yield worker
 
 
 SIGNALS = {signal.SIGKILL: "SIGKILL", signal.SIGRTMIN + 1: f"signal {signal.SIGRTMIN + 1}"}
@@ -96,6 +100,8 @@ def test_closing_ends_the_worker_and_may_be_repeated(begun: SumoProcess) -> None
 
 def test_a_forgotten_simulator_ends_its_worker() -> None:
     simulator = SumoProcess(FAKE)
+    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+        simulator.step({"ego": COMMAND})
     simulator.reset(scenario())
     pid = simulator.pid
     with pytest.raises(TypeError, match=r"copy\.deepcopy"):
@@ -108,9 +114,10 @@ def test_a_forgotten_simulator_ends_its_worker() -> None:
 # -- what a simulator says ---------------------------------------------------------------------------------
 
 
-def test_what_the_simulator_prints_does_not_disturb(simulator, capfd) -> None:
-    simulator.reset(scenario(PRINTS))
-    assert simulator.step({"ego": COMMAND}).ego.distance == COMMAND.target_speed
+def test_what_the_simulator_prints_does_not_disturb(capfd) -> None:
+    with closing(SumoProcess(FAKE)) as simulator:
+        simulator.reset(scenario(PRINTS))
+        assert simulator.step({"ego": COMMAND}).ego.distance == COMMAND.target_speed
     assert capfd.readouterr() == ("SUMO says something\nand so does C++\n", "")
 
 
@@ -146,13 +153,14 @@ def test_what_goes_wrong_at_a_reset_is_its_error(program, seed, error, message) 
 # -- silence and interrupts --------------------------------------------------------------------------------
 
 
-def test_a_silent_worker_is_killed(simulator: SumoProcess) -> None:
-    simulator.reset(scenario(HANGS))
-    pid = simulator.pid
-    simulator.timeout = 0.2  # [s]
-    with pytest.raises(SimulatorDied, match=r"gave no answer for 0\.2 s in step 1"):
-        simulator.step({"ego": COMMAND})
-    assert not is_alive(pid)
+def test_a_silent_worker_is_killed() -> None:
+    with closing(SumoProcess(FAKE)) as simulator:
+        simulator.reset(scenario(HANGS))
+        pid = simulator.pid
+        simulator.timeout = 0.2  # [s]
+        with pytest.raises(SimulatorDied, match=r"gave no answer for 0\.2 s in step 1"):
+            simulator.step({"ego": COMMAND})
+        assert not is_alive(pid)
 
 
 REQUESTS: dict[str, tuple[Any, Callable[[SumoProcess], Any]]] = {

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from experiments import estimators, report, validate, watch
+from experiments import estimators, rare, report, validate, watch
 from experiments import evaluate as command
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design import experiment
@@ -52,6 +52,18 @@ CELLS: list[tuple[dict[str, Any], str]] = [
 ]
 
 
+RARE: list[tuple[dict[str, Any], str]] = [
+    ({"task": "u-trun"}, "u-turn"),
+    ({"level": "4"}, "level"),
+    ({"policy": "none.py:make"}, "none.py"),
+    ({"dose": 0.0}, "--dose"),
+    ({"reach": -1.0}, "--reach"),
+    ({"episodes": 0}, "--episodes"),
+    *(({"rates": rates}, "LOW:HIGH") for rates in ("1e-4:x", "0", "1:2:3")),
+    ({"executor": "cloud"}, "executor"),
+]
+
+
 def smoke(**asked: Any) -> Callable[[], Any]:
     return lambda: Options(preset="smoke", **asked).cells()
 
@@ -68,6 +80,11 @@ def validated(**part: Any) -> Callable[[], Any]:
 def evaluate_card(policy: str, **asked: Any) -> None:
     """In which nothing is driven."""
     command.evaluated(command.Options(policy, quick=True, **asked), [])
+
+
+def how_rare(policy: str = "slower", task: str = "u-turn", **asked: Any) -> None:
+    usual: dict[str, Any] = {"rates": "0.3,1", "dose": 0.3, "episodes": 80, "out": Path("new")}
+    rare.rare(rare.Options(policy, task, **{**usual, **asked}), [])
 
 
 def empty() -> None:
@@ -97,6 +114,10 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (partial(evaluate_card, "slower", tasks=("merge",)), "the frozen test has no"),
     (partial(evaluate_card, "slower", tasks=("u-turn",), out=Path("mine.py")), "mine.py"),
     (partial(evaluate_card, "."), "has weights:"),
+    (partial(evaluate_card, "carefull", tasks=("u-turn",)), "did you mean 'careful'"),
+    (partial(evaluate_card, "model.zip", tasks=("u-turn",), out=Path("card")), "no model"),
+    (partial(evaluate_card, "highway-50/control", tasks=("u-turn",)), "cannot drive u-turn"),
+    *((partial(how_rare, **asked), word) for asked, word in RARE),
     # results and what is made of them
     (lambda: load(Path("nowhere")), "no results"),
     (lambda: watch.watch(watch.Options(Path("nowhere"), scenario=-1)), "counts from 0"),

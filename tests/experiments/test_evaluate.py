@@ -100,15 +100,6 @@ def test_a_published_pair_takes_the_more_careful_of_its_agents_actions() -> None
         assert differ
 
 
-def test_a_policy_that_does_not_fit_is_told_before_anything_is_driven(short: Path, tmp_path: Path) -> None:
-    (tmp_path / "no.zip").write_text("")
-    for policy, words in (("carefull", "did you mean 'careful'"), (f"{tmp_path}/no.zip", "no model")):
-        with pytest.raises(UserError, match=words):
-            taken(policy, tmp_path)
-    with pytest.raises(UserError, match="cannot drive u-turn"):
-        taken("highway-50/control", tmp_path)
-
-
 def test_who_drives_where() -> None:
     places = {(task, level) for task, levels in SETTINGS.items() for level in levels}
     control = entrants("control")  # published agents, each in the setting of its training

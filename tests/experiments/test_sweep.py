@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import random
@@ -19,7 +18,6 @@ from experiments.analysis.analysis import analyse
 from experiments.analysis.comparable import comparable
 from experiments.replay import Options as ReplayOptions
 from experiments.replay import replay
-from experiments.study.compute.run import Attempt, attempt
 from experiments.study.design.arms import TEST
 from experiments.study.design.experiment import shard
 from experiments.study.results.loaded import load
@@ -197,24 +195,6 @@ def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_pat
     parts = [shard([task.cell for task in tasks.values()], f"{i}/2") for i in (1, 2)]
     compute(tasks[cell.name] for part in parts for cell in reversed(part))
     assert fingerprint(tmp_path) == fingerprint(reference)
-
-
-def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, monkeypatch):
-    first, second, *_ = (task for task in tasks_of(tmp_path) if task.cell.kind == "baseline")
-    attempt(first)
-
-    def full(path, data):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-    monkeypatch.setattr("experiments.study.results.store.write_file", full)
-    answer = attempt(second)
-    assert answer.state == "fatal"
-    assert "no space left" in answer.reason
-    assert "\n" not in answer.reason
-    monkeypatch.undo()
-    assert (first.done(), second.done()) == (True, False)
-    assert attempt(second) == Attempt("done")
-    assert second.done()
 
 
 def test_a_sweep_goes_on_where_it_was_and_computes_damaged_cells_again(reference, tmp_path, capsys, here):

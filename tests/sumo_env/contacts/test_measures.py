@@ -9,10 +9,11 @@ import pytest
 import shapely
 
 from sumo_env.contacts.measures import density, ego_ttc, headways
-from sumo_env.contacts.rectangles import State
+from sumo_env.contacts.rectangles import Half, State
 
 from .shapes import polygons
 
+CAR = 2.5, 1.0  # half its length and width [m]
 HORIZON = 4.0
 STEP = 0.02
 
@@ -40,17 +41,17 @@ def states_of(traffic: np.ndarray) -> list[State]:
     return [tuple(row) for row in traffic.tolist()]
 
 
-def ttc(traffic: np.ndarray, horizon: float = HORIZON) -> np.ndarray:
+def ttc(traffic: np.ndarray, horizon: float = HORIZON, **sizes: Half) -> np.ndarray:
     """Of the first row with each of the others."""
     ego, *others = states_of(traffic)
-    return np.array([ego_ttc(ego, [other], horizon) for other in others])
+    return np.array([ego_ttc(ego, [other], horizon, **sizes) for other in others])
 
 
-def moved(traffic: np.ndarray, times: np.ndarray) -> np.ndarray:
+def moved(traffic: np.ndarray, times: np.ndarray, half: Half = CAR) -> np.ndarray:
     """Polygons after `times` [s], which has one axis more than the rows of `traffic` or broadcasts to them."""
     x, y, speed, heading = (column.reshape(-1, *[1] * (times.ndim - 1)) for column in traffic.T)
     x, y = x + speed * np.cos(heading) * times, y + speed * np.sin(heading) * times
-    return polygons(x, y, np.broadcast_to(heading, x.shape))
+    return polygons(x, y, np.broadcast_to(heading, x.shape), half)
 
 
 def test_equals_stepping_through_time(traffic) -> None:
@@ -67,33 +68,21 @@ def test_equals_stepping_through_time(traffic) -> None:
     assert np.isfinite(ours[~seen]).mean() < 0.02
 
 
-def test_at_that_time_they_touch_and_before_they_do_not(traffic) -> None:
-    ours = ttc(traffic)
+@pytest.mark.parametrize(
+    ("own", "half"), [(CAR, CAR), ((8.0, 1.25), (9.0, 1.3))], ids=["cars", "truck and bus"]
+)
+def test_at_that_time_they_touch_and_before_they_do_not(traffic, own: Half, half: Half) -> None:
+    ours = ttc(traffic, own=own, half=half)
+    ego, *others = states_of(traffic)
+    np.testing.assert_allclose([ego_ttc(other, [ego], HORIZON, half=own, own=half) for other in others], ours)
+    assert (ours <= ttc(traffic)).all()
     hits = np.flatnonzero(np.isfinite(ours))
     at_once = ours[hits] == 0.0
     assert (~at_once).sum() > 200 and at_once.any()
     for share, touch in ((1.0, True), (0.999, False), (0.5, False)):
         t = ours[hits] * share
-        gap = shapely.distance(moved(traffic[1:][hits], t), moved(traffic[:1], t))
+        gap = shapely.distance(moved(traffic[1:][hits], t, half), moved(traffic[:1], t, own))
         assert (gap < 1e-8).all() if touch else (gap[~at_once] > 0).all()
-
-
-def test_the_sizes_of_both_count(traffic) -> None:
-    truck, bus = (8.0, 1.25), (9.0, 1.3)
-    ego, *others = states_of(traffic)
-    ours = np.array([ego_ttc(ego, [other], half=bus, own=truck) for other in others])
-    np.testing.assert_allclose([ego_ttc(other, [ego], half=truck, own=bus) for other in others], ours)
-    hits = np.flatnonzero(np.isfinite(ours) & (ours > 0.0))
-    assert len(hits) > 200 and (ours <= ttc(traffic)).all()
-    for share, most in ((1.0, 1e-8), (0.999, math.inf)):
-        x, y, heading = (traffic[:, k] for k in (0, 1, 3))
-        t = ours[hits] * share
-        step = traffic[:, 2] * np.cos(heading), traffic[:, 2] * np.sin(heading)
-        one = polygons(x[0] + t * step[0][0], y[0] + t * step[1][0], np.full(len(t), heading[0]), truck)
-        other = 1 + hits
-        two = polygons(x[other] + t * step[0][other], y[other] + t * step[1][other], heading[other], bus)
-        gap = shapely.distance(one, two)
-        assert (gap <= most).all() and (share == 1.0 or (gap > 0.0).all())
 
 
 def test_the_time_of_the_ego_is_the_least_of_all(traffic) -> None:

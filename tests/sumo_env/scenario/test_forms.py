@@ -111,7 +111,8 @@ NAMES: dict[str, tuple[dict[str, str], Change]] = {  # other names of files, the
         says(net="../n.net.xml", routes="../r.rou.xml", additional="../a.add.xml"),
     ),
 }
-CONTENTS: dict[str, dict[str, str]] = {  # of routes ("r") and additional files ("a")
+# Of routes ("r") and additional files ("a"); further ones are in files.py.
+CONTENTS: dict[str, dict[str, str]] = {
     "an end of days": {"r": ROUTES.replace('end="99"', 'end="1:00:00:00"')},
     "no limit to gains": {"a": '<vType id="DEFAULT_VEHTYPE" lcSpeedGain="inf" lcStrategic="1e10"/>'},
     "a class of nobody": {"r": f'<vType id="t" vClass="unknown"/><vType id="u" vClass=""/>{ROUTES}'},
@@ -125,12 +126,7 @@ CONTENTS: dict[str, dict[str, str]] = {  # of routes ("r") and additional files 
     "trips that are not sorted": {
         "r": f'{EGO}<trip id="late" depart="5" from="A0A1" to="B1B0"/>{ROUTES.replace("ego", "e")}'
     },
-    "people": {"r": f'{ROUTES}<person id="p" depart="1"><walk from="A0A1" to="A1B1"/></person>'},
     "no file of what is included": {"r": f'{ROUTES}<include href="nobody.xml"/>'},
-    "types by chance": {
-        "r": f'<vTypeDistribution id="mix"><vType id="t"/><vType id="u" vClass="truck"/></vTypeDistribution>'
-        f'{EGO}<flow id="g" type="mix" begin="0" end="60" vehsPerHour="1800" {WAY}/>'
-    },
     "a number of vehicles with words": {
         "r": f'{EGO}<flow id="g" begin="0" end="60" number="30" departLane="random" departPos="random_free" {WAY}/>'
     },
@@ -140,25 +136,12 @@ CONTENTS: dict[str, dict[str, str]] = {  # of routes ("r") and additional files 
         '</vehicle><vehicle id="w" depart="1"><route edges="A0A1 A1B1 B1B0"/><stop parkingArea="p" duration="9"/>'
         "</vehicle>",
     },
-    "a calibrator": {
-        "a": '<calibrator id="c" lane="A0A1_0" pos="20" freq="5"><route id="r" edges="A0A1 A1B1"/>'
-        '<flow begin="0" end="60" route="r" vehsPerHour="1800" speed="10"/></calibrator>'
-    },
-    "a street that is closed": {
-        "a": '<rerouter id="r" edges="A0A1"><interval begin="5" end="99"><closingReroute id="A1B1"/></interval>'
-        "</rerouter>"
-    },
     "a sign of speed": {
         "a": '<variableSpeedSign id="v" lanes="A0A1_0 A0A1_1"><step time="3" speed="4"/></variableSpeedSign>'
     },
     "districts": {
         "a": '<taz id="y"><tazSource id="A0A1" weight="1"/></taz><taz id="z"><tazSink id="B1B0" weight="1"/></taz>',
         "r": f'{EGO}<flow id="g" begin="0" end="60" period="2" fromTaz="y" toTaz="z"/>',
-    },
-    "a taxi": {
-        "r": f'{EGO}<vType id="t" vClass="taxi"><param key="has.taxi.device" value="true"/></vType>'
-        f'<trip id="x" type="t" depart="0" {WAY}/>'
-        '<person id="p" depart="1"><ride from="A1B1" to="B1B0" lines="taxi"/></person>'
     },
 }
 

@@ -50,6 +50,19 @@ def agents(
     return result
 
 
+def crashes(
+    rates: Mapping[str, tuple[float, float]], random: np.random.Generator, spread: float, scenarios: int = 100
+) -> Arms:
+    """Five agents an arm with these rates in regular and risky traffic; half of their luck is the scenario's."""
+    luck, arms = random.uniform(size=(2, 1, scenarios)), {}
+    for arm, rate in rates.items():
+        chance = np.array(rate)[:, None, None] + random.normal(0, spread, (2, 5, 1))
+        own = random.uniform(size=(2, 5, scenarios))
+        crashed = np.where(random.uniform(size=own.shape) < 0.5, luck, own) < chance
+        arms[arm] = {"crashed": crashed.astype(float)}
+    return arms
+
+
 def effects(arms: Mapping[Setting, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
     return adjusted(contrasts(arms, {PAIR: [(o, t) for o in OUTCOMES for t in TERMS]}), plan)
 

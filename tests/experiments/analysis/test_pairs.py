@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -26,6 +25,7 @@ from experiments.study.design.arms import ARMS, PAIRS, REGISTERED
 from experiments.study.design.sheet import GRID
 from experiments.study.results.loaded import load
 from tests.experiments import synthetic
+from tests.experiments.analysis.made_up import crashes
 
 SEEDS, SCENARIOS = 5, 60
 Rates = tuple[float, float]  # of crashes, in regular and in risky traffic
@@ -45,15 +45,10 @@ def episodes(
     random, drivers, crashed = np.random.default_rng(1), [], []
     for task, level_name in ENDS:
         is_light = level_name == GRID[task][0]
-        luck = random.uniform(size=(2, scenarios))
         rates = RATES | dict.fromkeys(pairs, light if is_light else dense)
-        for (arm, own), k, (number, traffic) in product(
-            rates.items(), range(SEEDS), enumerate(("regular", "risky"))
-        ):
-            mixed = np.where(
-                random.uniform(size=scenarios) < 0.5, luck[number], random.uniform(size=scenarios)
-            )
-            crashed.append((mixed < own[number]) * 1.0)
+        drawn = crashes(rates, random, 0.0, scenarios)
+        for arm, k, (number, traffic) in product(rates, range(SEEDS), enumerate(("regular", "risky"))):
+            crashed.append(drawn[arm]["crashed"][number, k])
             about = {"arm": arm, "seed": 300 + k, "traffic": traffic, "task": task, "level_name": level_name}
             about |= {"level": GRID[task].index(level_name) + 1, "kind": "test" if arm in PAIRS else "agent"}
             drivers.append({**about, "mean_speed": speed if arm in PAIRS else 20.0})
@@ -153,17 +148,8 @@ class TestQuestions:
 
     def test_a_margin_that_is_the_truth_is_kept_to_in_one_of_twenty_studies(self) -> None:
         """And it lies between the limits in nine of ten."""
-        random, repeats, seeds, scenarios = np.random.default_rng(5), 200, 5, 100
-        places: Any = {}
-        for k in range(repeats):
-            luck = random.uniform(size=(2, 1, scenarios))
-            arms = {}
-            for arm, rates in {**RATES, "pair": (0.125, 0.35)}.items():
-                rate = np.array(rates)[:, None, None] + random.normal(0, 0.01, (2, seeds, 1))
-                own = random.uniform(size=(2, seeds, scenarios))  # half of the luck is the scenario's
-                crashed = np.where(random.uniform(size=own.shape) < 0.5, luck, own) < rate
-                arms[arm] = {"crashed": crashed.astype(float)}
-            places[str(k), "u-turn", 1, "3"] = arms
+        random, repeats, rates = np.random.default_rng(5), 200, {**RATES, "pair": (0.125, 0.35)}
+        places = {(str(k), "u-turn", 1, "3"): crashes(rates, random, 0.01) for k in range(repeats)}
         asked = {("pair", arm): [("crashed", "risky"), ("crashed", "regular")] for arm in ARMS}
         found = in_tasks(price(contrasts(places, asked), STUDY))
         assert len(found) == 2 * repeats

@@ -20,7 +20,7 @@ from experiments.reporting import by_task
 from experiments.study.design.sheet import GRID
 from experiments.study.results.loaded import load
 from tests.experiments import synthetic
-from tests.experiments.analysis.made_up import PAIR
+from tests.experiments.analysis.made_up import PAIR, crashes
 
 CRASHES = [("crashed", "risky"), ("crashed", "regular")]
 Effects = dict[
@@ -55,16 +55,9 @@ def study(effects: Effects, random: np.random.Generator, repeat: str = "sumo") -
     """The settings of stage a: five agents an arm."""
     places: dict[Setting, Arms] = {}
     for task, name in ENDS:
-        luck = random.uniform(size=(2, 1, 100))
-        arms = {}
-        for arm in PAIR:
-            more = np.array(effects.get(task, (0.0, 0.0)))[::-1] * (arm == "treatment")
-            rate = (
-                np.array([0.3, 0.5])[:, None, None] + more[:, None, None] + random.normal(0, 0.03, (2, 5, 1))
-            )
-            own = random.uniform(size=(2, 5, 100))  # half of the luck is the scenario's
-            arms[arm] = {"crashed": (np.where(random.uniform(size=own.shape) < 0.5, luck, own) < rate) * 1.0}
-        places[repeat, task, GRID[task].index(name) + 1, name] = arms
+        risky, regular = effects.get(task, (0.0, 0.0))
+        rates = {"treatment": (0.3 + regular, 0.5 + risky), "control": (0.3, 0.5)}
+        places[repeat, task, GRID[task].index(name) + 1, name] = crashes(rates, random, 0.03)
     return places
 
 

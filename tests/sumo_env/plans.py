@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -71,6 +71,19 @@ def grid(folder: Path, *options: str) -> Path:
     command: list[str | Path] = [SUMO.with_name("netgenerate"), "--grid", *options, "-o", net]
     subprocess.run(command, check=True, capture_output=True)
     return net
+
+
+def another(
+    env: SumoDrivingEnv, route: Sequence[str], lane: str, position: float, speed: float = 0.0
+) -> None:
+    """The vehicle "another" on a lane [m], which keeps its speed [m/s] and its lane, whoever comes."""
+    vehicle = env.sumo.vehicle
+    env.sumo.route.add("another", route)
+    vehicle.add("another", "another", departSpeed="0")
+    vehicle.moveTo("another", lane, position)
+    vehicle.setSpeedMode("another", 32)
+    vehicle.setLaneChangeMode("another", 0)
+    vehicle.setSpeed("another", speed)
 
 
 Rows = dict[float, dict[str, dict[str, str]]]  # time [s] -> vehicle -> attributes

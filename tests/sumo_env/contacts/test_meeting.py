@@ -8,7 +8,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import libsumo
 import numpy as np
 import pytest
 from sumolib.geomhelper import polygonOffsetWithMinimumDistanceToPoint
@@ -20,7 +19,7 @@ from sumo_env.networks.meeting import Meeting, Spot
 from sumo_env.networks.roads import road
 from sumo_env.sumo import surroundings
 from sumo_env.tasks import TASKS
-from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
+from tests.sumo_env.plans import QUIET, another, build, needs_sumo, route_file
 from tests.sumo_env.rollout import drive
 
 pytestmark = needs_sumo
@@ -100,7 +99,6 @@ class Other(NamedTuple):
     x: float
     y: float
     speed: float = 0.0
-    length: float = CAR
     overtakes: bool = False
 
 
@@ -121,19 +119,12 @@ def straight_on(folder: Path, plan: tuple[str, ...], way: Sequence[str], other: 
     net = netconvert(folder, plan)
     lane = files.network(net).sumo_lanes[other.lane]
     place = polygonOffsetWithMinimumDistanceToPoint((other.x, -other.y), lane.shape)
-    vehicle = libsumo.vehicle
     with closing(SumoDrivingEnv(net, [way], way, {**QUIET, "duration": 50})) as env:
         env.reset(seed=0)
-        libsumo.route.add("another", other.route)
-        libsumo.vehicletype.copy("DEFAULT_VEHTYPE", "another")
-        libsumo.vehicletype.setLength("another", other.length)
-        vehicle.add("another", "another", "another", departSpeed="0")
-        vehicle.moveTo("another", other.lane, min(place * lane.length / lane.drawn, lane.length))
-        vehicle.setSpeedMode("another", 32)
-        vehicle.setLaneChangeMode("another", 0)
-        vehicle.setSpeed("another", other.speed)
+        position = min(place * lane.length / lane.drawn, lane.length)
+        another(env, other.route, other.lane, position, other.speed)
         if other.overtakes:
-            vehicle.changeLaneRelative("another", 1, 0.0)
+            env.sumo.vehicle.changeLaneRelative("another", 1, 0.0)
         infos = [result[-1] for result in drive(env, FASTER)]
         return Drive(infos[-1]["crash"], infos)
 
@@ -208,7 +199,7 @@ REAL: dict[str, tuple[Any, ...]] = {
     "a ramp drawn over the road": (NARROW, ["wm", "me"], Other(["sm", "me"], "sm_0", 240.0, 0.0), "side"),
     "within a crossing": (JUNCTION, ["wm", "me"], Other(["sm", "mn"], ":m_0_0", 201.6, 1.0), "junction"),
     "within a merge": (MERGE, ["wm", "me"], Other(["sm", "me"], ":m_0_0", 201.6, 1.0), "rear-end"),
-    "overtaking": (OVERTAKING, ["we"], Other(["ew"], "ew_0", 250.0, 0.0, 8.0, CAR, True), "frontal"),
+    "overtaking": (OVERTAKING, ["we"], Other(["ew"], "ew_0", 250.0, 0.0, 8.0, True), "frontal"),
 }
 
 

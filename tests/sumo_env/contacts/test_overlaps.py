@@ -12,7 +12,7 @@ from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import Session
-from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, needs_sumo, route_file, streets
+from tests.sumo_env.plans import QUIET, SUMO_DRIVES, another, build, needs_sumo, route_file, streets
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenario.driven import KINDS
 
@@ -27,17 +27,6 @@ CROSSING = (
     streets("wc", "ce", "sc", "cn"),
     "wc 0 ce 0, sc 0 cn 0",
 )
-
-
-def stand(env: SumoDrivingEnv, route: list[str], lane: str, position: float) -> None:
-    """Somebody stands on a lane [m], for good."""
-    vehicle = env.sumo.vehicle
-    env.sumo.route.add("another", route)
-    vehicle.add("another", "another", departSpeed="0")
-    vehicle.moveTo("another", lane, position)
-    vehicle.setSpeedMode("another", 32)
-    vehicle.setLaneChangeMode("another", 0)
-    vehicle.setSpeed("another", 0.0)
 
 
 def drawn_elsewhere(net: Path, lane: str, shape: str) -> Path:
@@ -55,7 +44,7 @@ def test_lanes_that_are_drawn_over_each_other(tmp_path: Path, by_sumo: bool) -> 
     config = {**QUIET, "initial_speed": 5, **({"action": SUMO_DRIVES} if by_sumo else {})}
     with closing(SumoDrivingEnv(net, [["ab"]], ["ab"], config)) as env:
         env.reset(seed=0)
-        stand(env, ["ab"], "ab_1", 60.0)
+        another(env, ["ab"], "ab_1", 60.0)
         infos = [result[-1] for result in drive(env, 0 if by_sumo else FASTER)]
     assert infos[-1]["crash"].get("detected_by") == (None if by_sumo else "geometry")
     assert {info["overlap"] for info in infos} - {""} == ({"another"} if by_sumo else set())
@@ -73,7 +62,7 @@ def test_a_lane_change_that_sumo_makes_at_once_sweeps_nothing(
         env.sumo.vehicle.moveTo("ego", "ab_0", 60.0)
         env.step(LEFT)
         assert env.sumo.vehicle.getLaneID("ego") == "ab_1"
-        stand(env, ["ab"], "ab_0", env.sumo.vehicle.getLanePosition("ego") + ahead)
+        another(env, ["ab"], "ab_0", env.sumo.vehicle.getLanePosition("ego") + ahead)
         env.step(IDLE)
         info = env.step(RIGHT)[-1]
         assert env.sumo.vehicle.getLaneID("ego") == "ab_0"
@@ -116,7 +105,7 @@ def test_ways_that_sumo_lets_pass_through_each_other_are_named(
             config |= {"action": SUMO_DRIVES} if by_sumo else {}
             with closing(SumoDrivingEnv(net, [["wc", "ce"]], ["wc", "ce"], config)) as env:
                 env.reset(seed=0)
-                stand(env, ["sc", "cn"], inside, env.sumo.lane.getLength(inside) * 0.8)
+                another(env, ["sc", "cn"], inside, env.sumo.lane.getLength(inside) * 0.8)
                 infos = [result[-1] for result in drive(env, 0 if by_sumo else FASTER)]
                 names = {info["overlap"] for info in infos} - {""}
                 found[rule, counts] = infos[-1]["crash"].get("detected_by"), names

@@ -175,7 +175,7 @@ def test_each_page_that_says_so_has_a_template() -> None:
     assert sorted(made) == sorted(map(page_of, templates())) != []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+@each_page
 def test_all_lines_of_a_table_have_as_many_cells(page: Path) -> None:
     for rows in re.findall(r"(?:^\|.*\n)+", TEXTS[page], re.MULTILINE):
         assert len({line.count("|") for line in rows.splitlines()}) == 1, rows

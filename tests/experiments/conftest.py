@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -25,4 +26,12 @@ def all_here() -> Iterator[None]:
     """As `here`, for all tests of a module and for its fixtures."""
     with pytest.MonkeyPatch.context() as patch:
         in_this_process(patch)
+        yield
+
+
+@pytest.fixture(scope="class")
+def words_alone() -> Iterator[None]:
+    """Reports without figures: drawing them takes longer than all else."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
         yield

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections import defaultdict
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -58,14 +57,6 @@ class Page(HTMLParser):
 def write(directory: Path, *args, **kwargs) -> Page:
     synthetic.write(directory, *args, **kwargs)
     return Page(report.write_report(directory).read_text())
-
-
-@pytest.fixture(scope="class")
-def words_alone():
-    """Pages without figures: drawing them takes longer than all else."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
-        yield
 
 
 def reported(*directories: Path, **asked) -> list[Analysis]:

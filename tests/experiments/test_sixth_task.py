@@ -36,7 +36,7 @@ def test_a_backend_that_lacks_a_task_says_so(monkeypatch: pytest.MonkeyPatch) ->
             Options(tasks=("own",), backend=name).cells()
 
 
-def test_it_is_studied_and_decides_nothing(tmp_path: Path, here: None) -> None:
+def test_it_is_studied_and_decides_nothing(tmp_path: Path, here: None, words_alone: None) -> None:
     options = Options(out=tmp_path, tasks=("merge",), preset="smoke", seeds=2, updates=40, workers=2)
     assert sweep(options, make_env=make_env, check=lambda _: None) == 0
     analysis = report.analyse(load(tmp_path))

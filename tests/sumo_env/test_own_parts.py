@@ -20,7 +20,6 @@ from sumo_env.env import DrivingEnv
 from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import Road
 from sumo_env.replica.env import ReplicaEnv
-from sumo_env.replica.simulator import Replica
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.u_turn import UTurn
@@ -129,12 +128,6 @@ def test_a_task_is_registered_and_driven() -> None:
     envs = gym.make_vec("test/slalom-v0", num_envs=2, config={"gap": 80.0})
     assert envs.reset(seed=0)[0].shape == (2, 5, 5)
     del gym.registry["test/slalom-v0"]
-
-
-@pytest.mark.slow
-def test_a_task_on_a_road_of_the_five_runs_on_the_replica() -> None:
-    env = DrivingEnv(Slalom(), {"simulation_frequency": 15}, simulator=Replica())
-    assert len(observations(env)) > 2
 
 
 def test_lorries_of_their_own_size(tmp_path: Path) -> None:

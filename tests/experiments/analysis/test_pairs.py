@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -188,9 +187,8 @@ class TestInfluence:
 
 
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def home(tmp_path: Path, words_alone: None) -> Path:
     """Two of the five lightest settings, with pairs."""
-    monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
     levels = {"u-turn": (1,), "roundabout": (1,)}
     synthetic.write(tmp_path, levels, tests=12, seeds=3, pairs=True, preset="study")
     return tmp_path

@@ -67,13 +67,6 @@ def test_lanes_without_a_length_point_where_their_neighbours_do(pieces: Path) ->
     assert all(network.stretch(name) == pytest.approx(1.0, abs=0.01) for name in network.sumo_lanes)
 
 
-def test_a_compressed_network_is_driven(town: Path) -> None:
-    env = SumoDrivingEnv(
-        town, [["A0A1", "A1A2"], ["C0C1", "C1B1"]], ["A0B0", "B0B1", "B1C1"], {"duration": 12}
-    )
-    assert endings(env, range(3)) <= {"collision_reward", "arrived_reward", "missed_turn_reward", "time"}
-
-
 def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Path) -> None:
     road = files.network(town).road
     assert len(road.lanes) > 256

@@ -30,9 +30,9 @@ def make(config: DQNConfig = SMALL, seed: int = 0, network: Any = Small, inputs:
     return DQN(config, space, gym.spaces.Discrete(ACTIONS), seed, network)
 
 
-def fill(agent: DQN, count: int, seed: int = 0) -> None:
+def fill(agent: DQN, count: int) -> None:
     """Random transitions, a fifth of them terminal, with rewards so small that errors are below 1."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     for _ in range(count):
         observation, after = generator.normal(size=(2, INPUTS))
         action, reward = int(generator.integers(ACTIONS)), 0.3 * generator.random()

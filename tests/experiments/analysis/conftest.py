@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -10,13 +11,16 @@ from experiments.analysis import plan
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
-from tests.experiments.analysis.plans import PLANS
+
+LIGHTEST = (("highway", "50"), ("u-turn", "3"))
+# A plan like the study's of a size that is quickly made up, by the label of made-up results.
+SMALL = replace(plan.STUDY, stages={"a": LIGHTEST, "b": (*LIGHTEST, ("u-turn", "6"))}, seeds=2)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def plans() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plan, "PLANS", PLANS)
+        patch.setattr(plan, "PLANS", {"study": plan.STUDY, "small": SMALL})
         yield
 
 

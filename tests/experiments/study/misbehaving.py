@@ -64,10 +64,6 @@ class Sum:
             FAULTS[self.fault]()
 
 
-def _segfault() -> None:
-    ctypes.string_at(0)
-
-
 def _hold_everything() -> None:
     """An endless call into C that never gives the interpreter back."""
     ctypes.PyDLL(None).sleep(600)
@@ -79,30 +75,18 @@ def _deadlock() -> None:
     lock.acquire()
 
 
-def _fail() -> None:
-    raise ValueError("it was told to fail")
-
-
-def _lose() -> None:
-    raise OSError("the surroundings fail")
-
-
-def _refuse() -> None:
-    raise UserError("put this right first")
-
-
-def _fill_the_disk() -> None:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+def _raise(error: Exception) -> None:
+    raise error
 
 
 FAULTS = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
-    "segfault": _segfault,
+    "segfault": lambda: ctypes.string_at(0),
     "exit": lambda: os._exit(7),
     "hold": _hold_everything,
     "deadlock": _deadlock,
-    "fail": _fail,
-    "lose": _lose,
-    "refuse": _refuse,
-    "full": _fill_the_disk,
+    "fail": lambda: _raise(ValueError("it was told to fail")),
+    "lose": lambda: _raise(OSError("the surroundings fail")),
+    "refuse": lambda: _raise(UserError("put this right first")),
+    "full": lambda: _raise(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))),
 }

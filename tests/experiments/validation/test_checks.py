@@ -18,8 +18,8 @@ from tests.experiments.validation.tables import compared, episodes
 MARGIN = 1.0
 
 
-def by_metric(table: pd.DataFrame, task: str = "u-turn", traffic: str = "regular"):
-    found = checks.level_checks(table, task, traffic)
+def by_metric(table: pd.DataFrame):
+    found = checks.level_checks(table, "u-turn", "regular")
     return {(item["metric"], item["ego"]): item for item in found}
 
 
@@ -141,8 +141,8 @@ def test_the_interval_is_students() -> None:
     assert checks.interval(values) == pytest.approx(stats.ttest_1samp(values, 0.0).confidence_interval(0.9))
 
 
-def histogram(bin_: int, count: int = 3) -> dict[str, Any]:
-    return {name: count * (number == bin_) for number, name in enumerate(HEADWAYS)}
+def histogram(bin_: int) -> dict[str, Any]:
+    return {name: 3 * (number == bin_) for number, name in enumerate(HEADWAYS)}
 
 
 def test_wasserstein_distance_of_shifted_headways() -> None:

@@ -41,10 +41,10 @@ def states_of(traffic: np.ndarray) -> list[State]:
     return [tuple(row) for row in traffic.tolist()]
 
 
-def ttc(traffic: np.ndarray, horizon: float = HORIZON, **sizes: Half) -> np.ndarray:
+def ttc(traffic: np.ndarray, **sizes: Half) -> np.ndarray:
     """Of the first row with each of the others."""
     ego, *others = states_of(traffic)
-    return np.array([ego_ttc(ego, [other], horizon, **sizes) for other in others])
+    return np.array([ego_ttc(ego, [other], HORIZON, **sizes) for other in others])
 
 
 def moved(traffic: np.ndarray, times: np.ndarray, half: Half = CAR) -> np.ndarray:

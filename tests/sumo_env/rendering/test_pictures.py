@@ -38,12 +38,12 @@ VIEW = {
 }
 
 
-def scene(*vehicles: tuple[float, float, float], crashed: tuple[int, ...] = (), time: float = 0.0) -> Scene:
+def scene(*vehicles: tuple[float, float, float], crashed: tuple[int, ...] = ()) -> Scene:
     """Vehicles at (x, y, heading), the ego first."""
     x, y, heading = np.array(vehicles, dtype=float).T
     has_crashed = np.isin(np.arange(len(vehicles)), crashed)
     ids = ("ego", *(f"v{k}" for k in range(1, len(vehicles))))
-    return Scene(ids, x, y, np.full(len(vehicles), 20.0), heading, has_crashed, time)
+    return Scene(ids, x, y, np.full(len(vehicles), 20.0), heading, has_crashed, 0.0)
 
 
 def pixel(

@@ -22,8 +22,8 @@ FASTER, SLOWER = 3, 4
 SEEN = {"type": "LeadersFollowers", "normalize": False}
 
 
-def net(folder: Path, *options: str, kind: str = "priority") -> Path:
-    return build(folder, (f"a 0 0, b 300 0 {kind}, c 600 0", "ab a b 3 20, bc b c 3 20"), *options)
+def net(folder: Path, *options: str) -> Path:
+    return build(folder, ("a 0 0, b 300 0 priority, c 600 0", "ab a b 3 20, bc b c 3 20"), *options)
 
 
 def road(path: Path, seed: int = 0, **config: Any) -> SumoDrivingEnv:

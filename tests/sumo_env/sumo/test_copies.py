@@ -87,10 +87,10 @@ def test_a_copy_goes_on_as_the_original(task: str, level: int, risk: float, seed
     assert all(np.array_equal(first, other) for other in others)
 
 
-def begun_in(env: Any, seed: int = 3) -> Any:
+def begun_in(env: Any) -> Any:
     """Three steps into the second episode."""
-    for one in (seed + 1, seed):
-        env.reset(seed=one)
+    for seed in (4, 3):
+        env.reset(seed=seed)
         for action in [env.action_space.sample() for _ in range(3)]:
             env.step(action)
     return env

@@ -16,7 +16,6 @@ import agents
 from experiments import evaluate, report, train, watch
 from experiments.backends import make_env
 from experiments.study.compute import evaluate as compute
-from experiments.study.compute.entrants import entrants
 from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
@@ -86,12 +85,8 @@ def test_the_scenario_is_chosen_by_a_rule_that_is_said() -> None:
 
 
 def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="did you mean 'mixed'"):
-        train.Options(out=tmp_path, arms=("mixd",)).cells()
     with pytest.raises(UserError, match="there are: sumo-u-turn-3-mixed-s0"):
         watch.watch(watch.Options(trained, agent="treatment"))
-    with pytest.raises(UserError, match="no agent"):
-        entrants(str(tmp_path))
     with pytest.raises(UserError, match="no trained agent"):
         watch.watch(watch.Options(tmp_path))
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
 import pytest
@@ -124,13 +123,9 @@ def has_same_rows(theirs: np.ndarray, ours: np.ndarray) -> bool:
 # -- the same seed -----------------------------------------------------------------------------------------
 
 
-def differences(task: str, first: int, episodes: int, config: dict[str, Any]) -> list[tuple[Any, ...]]:
-    """The episodes that differ from highway-env as it is installed: seed, what, configuration.
-
-    highway-env's environments with connected lanes are v1 or, of the intersection, v2.
-    """
-    stock, replica = (gym.make(f"{room}{task}-v0", config=dict(config)) for room in ("", "replica/"))
-    found = [(seed, episode(stock, replica, seed), config) for seed in range(first, first + episodes)]
+def different(stock: Any, replica: Any, seeds: Iterable[int], *how: Any) -> list[tuple[int, str]]:
+    """The episodes that are not those of highway-env as it is installed: seed, and what differs; how: as `episode`."""
+    found = [(seed, episode(stock, replica, seed, *how)) for seed in seeds]
     return [entry for entry in found if entry[1]]
 
 

@@ -16,7 +16,7 @@ from sumo_env.config import ConfigError
 from tests.processes import ROOT, ended
 from tests.tasks import highway_env_task
 
-from .pairs import Case, cases, compare, differences
+from .pairs import Case, cases, compare, different
 
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
@@ -56,19 +56,25 @@ CONFIGS: dict[str, list[dict[str, Any]]] = {
 }
 
 
+def pair(task: str, config: dict[str, Any]) -> tuple[Any, Any]:
+    """highway-env's environment and the replica's; those with connected lanes are v1 or, of the intersection, v2."""
+    stock, replica = (gym.make(f"{room}{task}-v0", config=dict(config)) for room in ("", "replica/"))
+    return stock, replica
+
+
 @pytest.mark.slow
 @highway_env_task
 def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
     """By default, and under other configurations; every second episode goes on with the stream of the one before."""
-    assert differences(task, 1, 1 if task == "highway" else 2, {}) == []
+    assert different(*pair(task, {}), (1,) if task == "highway" else (1, 2)) == []
     for config in CONFIGS[task]:
-        assert differences(task, 31, 2, config) == []
+        assert different(*pair(task, config), (31, 32)) == [], config
 
 
 @pytest.mark.long
 @highway_env_task
 def test_it_is_in_99_percent_of_two_hundred_episodes(task: str) -> None:
-    found = differences(task, 1000, EACH, {})
+    found = different(*pair(task, {}), range(1000, 1000 + EACH))
     print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")
     assert len(found) <= 0.01 * EACH
 
@@ -139,7 +145,7 @@ def test_without_numba_the_error_says_what_to_install() -> None:
     assert "pip install numba" in ended("-c", code).stderr.splitlines()[-1]
 
 
-def different(chosen: list[Case]) -> dict[Case, str]:
+def unlike(chosen: list[Case]) -> dict[Case, str]:
     """The episodes that are not those of highway-env, and what differs first.
 
     Poses and speeds are within 1e-6 after every policy step, observations, rewards, endings and measures the same.
@@ -156,12 +162,12 @@ def test_some_episodes_are_those_of_highway_env(task: str) -> None:
     else:
         linear = cases(task, 3, seed=2)
         chosen += [case._replace(law="linear", risk=0.5 + 0.5 * case.risk) for case in linear]
-    assert different(chosen) == {}
+    assert unlike(chosen) == {}
 
 
 @pytest.mark.long
 @highway_env_task
 def test_99_percent_of_a_thousand_episodes_are_those_of_highway_env(task: str) -> None:
-    found = different(cases(task, EACH))
+    found = unlike(cases(task, EACH))
     print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found.items(), sep="\n")
     assert len(found) <= 0.01 * EACH

@@ -104,9 +104,9 @@ def test_on_a_network_they_are_sumo_s_beyond_junctions_too(tmp_path: Path, hand:
             )  # the same as columns of Kinematics, without the follower in the own lane
             for behind, name in enumerate(("leader", "follower")[: 1 + (side != 1)]):
                 column = f"{('left_', '', 'right_')[side]}{name}"
-                if gaps[behind] < 200.0:
-                    assert table[f"{column}_gap"] == pytest.approx(max(gaps[behind], 0.0), abs=0.2)
-                    nearer = speeds[behind] if behind else -speeds[behind]
+                gap, nearer = exists * max(gaps[behind], 0.0), speeds[behind] if behind else -speeds[behind]
+                assert min(table[f"{column}_gap"], 200.0) == pytest.approx(gap, abs=0.2)
+                if gap < 200.0 or not place.neighbours[2 * side + behind].id:
                     assert table[f"{column}_closing"] == pytest.approx(nearer, abs=1e-4)
             found += (ahead < 200.0) + (back < 200.0)
     assert found > 50 and beyond

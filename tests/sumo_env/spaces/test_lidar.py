@@ -13,7 +13,7 @@ import pytest
 import sumo_env  # noqa: F401  (likewise)
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.spaces.lidar import Lidar
-from tests.pages import ROOT
+from tests.processes import ROOT
 from tests.sumo_env.replica.pairs import episode
 
 LIDAR: dict[str, Any] = {"type": "LidarObservation"}

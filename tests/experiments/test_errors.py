@@ -55,6 +55,7 @@ CELLS: list[tuple[dict[str, Any], str]] = [
 RARE: list[tuple[dict[str, Any], str]] = [
     ({"task": "u-trun"}, "u-turn"),
     ({"level": "4"}, "level"),
+    ({"policy": "carefull"}, "careful"),
     ({"policy": "none.py:make"}, "none.py"),
     ({"dose": 0.0}, "--dose"),
     ({"reach": -1.0}, "--reach"),

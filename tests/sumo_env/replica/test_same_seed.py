@@ -156,6 +156,7 @@ def unlike(chosen: list[Case]) -> dict[Case, str]:
 @pytest.mark.slow
 @highway_env_task
 def test_some_episodes_are_those_of_highway_env(task: str) -> None:
+    """Also among linear drivers."""
     chosen = cases(task, 3, seed=1)
     if task == "highway":  # the highest levels take highway-env a minute each
         chosen = [case._replace(level="50") for case in chosen]

@@ -91,17 +91,6 @@ def test_the_share_that_ignores_others_at_junctions_is_drawn_beforehand(share: f
             assert values.count("1") == pytest.approx(expected, abs=4)
 
 
-def test_a_vehicle_type_is_the_driver_times_the_calibration() -> None:
-    """A driver brakes no harder than in an emergency, whatever was drawn."""
-    driver = replace(DriverPool(BASE, 1.0).drivers[0], decel=7.0, emergency_decel=6.0)
-    calibration = Calibration(tau=1.2, speed_gain=40.0, assertive=0.77)
-    values = {"accel": driver.accel, "decel": 7.0, "apparentDecel": 7.0, "emergencyDecel": 7.0}
-    values |= {"tau": 1.2 * driver.tau, "minGap": driver.min_gap, "delta": driver.delta}
-    values |= {"lcSpeedGain": 40.0 * driver.speed_gain, "lcAssertive": 0.77 * driver.assertive}
-    found = vehicle_type(driver, calibration)
-    assert {name: float(found[name]) for name in values} == pytest.approx(values, abs=1e-6)
-
-
 @pytest.mark.parametrize("dose", [0.0, 0.3, 1.0])
 @every_task
 def test_a_task_names_every_driver_that_its_scenarios_may_hold(task: str, dose: float) -> None:

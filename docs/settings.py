@@ -46,6 +46,7 @@ LONG = {**DQN, "gamma": 0.95, "learning_rate": lambda left: 5e-4 * left}
 ATTENTION = {**LONG, "policy_kwargs": {"features_extractor_class": Attention, "net_arch": [192, 128]}}
 SETTINGS = {
     "highway-fast": (LONG, 40_000),
+    "highway-fast/1": ({**ATTENTION, "gamma": 0.9, "n_steps": 3}, 60_000),
     "intersection": ({**ATTENTION, "n_steps": 3}, 60_000),
     "u-turn/0": ({**ATTENTION, "gamma": 0.8}, 40_000),
 }

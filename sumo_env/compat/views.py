@@ -72,7 +72,7 @@ class _Vehicles(tuple["Vehicle", ...]):
 class View:
     """Values that can only be read; an error about another one says what to use instead."""
 
-    kind: str  # as users know it
+    kind: str = "view"  # as users know it; a copy has no values yet while it is made
     _of: object = None  # what has the public attributes that the view itself lacks
     _theirs = ""  # a key of `THEIRS`; else that of the class of `_of`, or of the view
 

@@ -249,6 +249,8 @@ def test_a_steered_ego_is_of_highway_envs_class(action: dict[str, Any]) -> None:
     same_kind(ours.action_type, theirs.action_type)
     again = pickle.loads(pickle.dumps(copy.deepcopy(ours.vehicle)))
     assert type(again) is type(ours.vehicle) and repr(again) == repr(ours.vehicle)
+    for view in (ours.action_type, ours.observation_type):
+        assert copy.deepcopy(view).space() == copy.copy(view).space() == view.space()
 
 
 def one(id: str, config: dict[str, Any]) -> Any:

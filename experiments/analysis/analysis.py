@@ -76,9 +76,11 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         own: further outcomes, of the user's own; they are exploratory.
 
     Raises:
-        UserError: by a plan that counts complete settings alone, there is none yet.
+        UserError: no cell can be compared; or by a plan that counts complete settings alone, there is none yet.
     """
     chosen, left_out = comparable(results)
+    if not chosen.cells:
+        raise UserError(f"nothing to report in {results.directory}: {next(iter(left_out.values()))}")
     plan = plans.plan_of(main_cells(chosen.table)["preset"])
     early = unfinished(results, chosen) if plan.version > 2 else {}
     known = leave_out(chosen, settings=early)

@@ -13,18 +13,31 @@ import numpy as np
 import pytest
 
 from agents.schema import Wrong
+from experiments.report import write_report
 from experiments.study.compute.run import attempt
 from experiments.study.design.cell import Cell
 from experiments.study.results import store
 from experiments.study.results.loaded import load
 from experiments.study.results.schema import EPISODES
 from experiments.support.errors import UserError
+from tests.experiments import synthetic
 from tests.experiments.computed import damage, tasks_of
 
 
 @pytest.fixture(scope="module")
 def cells(finished) -> list[Cell]:
     return [task.cell for task in tasks_of(finished)]
+
+
+def test_cells_that_were_tested_on_another_simulator_are_read_without_the_others(tmp_path):
+    written = synthetic.write(tmp_path, {"u-turn": (1,)}, tests=4, seeds=1, test_on=("replica",))
+    for cell in written:
+        if cell.test_on is None:
+            (tmp_path / "cells" / f"{cell.name}.parquet").unlink()
+    results = load(tmp_path)
+    assert len(results.episodes) > 0 and results.gate_episodes.empty
+    with pytest.raises(UserError, match="nothing to report"):
+        write_report(tmp_path)
 
 
 def test_writing_twice_keeps_the_first(results, cells):

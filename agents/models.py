@@ -91,9 +91,9 @@ class EgoAttention(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Q-values (batch, actions) of observations (batch, vehicles, features)."""
-        return self.decision(self.seen(x))
+        return self.decision(self.features(x))
 
-    def seen(self, x: Tensor) -> Tensor:
+    def features(self, x: Tensor) -> Tensor:
         """What the decision is made of (batch, width): the mean of the ego's code and of the attention's answer."""
         ego, vehicles, weights = self._attend(x)
         answer = self.output((weights @ vehicles).flatten(1))

@@ -85,7 +85,7 @@ class Attention(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Features (batch, width) of observations (batch, vehicles, features)."""
-        return self.network.seen(x)
+        return self.network.features(x)
 
 
 class Logits(nn.Module):

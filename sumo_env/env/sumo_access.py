@@ -19,7 +19,6 @@ from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.settings import file_settings
 from sumo_env.sumo.user_options import OUTPUT_DIR, check_live, check_options
 from sumo_env.tasks.base import Task
-from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.file_checks import check_outputs
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.traffic.sumo_files import is_output, temporary_folder
@@ -40,17 +39,16 @@ class SumoAccess:
             raise ValueError("sumo_options, live and output_dir are for SUMO: leave out `simulator`")
         self.given = self.simulator = simulator  # the simulator is None where SUMO is not open
         self._live = check_live(live)
-        self._options = check_options(options, isinstance(task, NetworkTask))
-        if not isinstance(task, NetworkTask):
-            if output_dir is not None:
-                raise ConfigError("output_dir is for networks of your own: take sumo_options")
-        elif output_dir is not None:
+        self._options = check_options(options, task.of_files)
+        if not task.of_files and output_dir is not None:
+            raise ConfigError("output_dir is for networks of your own: take sumo_options")
+        if output_dir is not None:
             check_outputs(task.outputs)
             folder = str(Path(output_dir).resolve())
             self._options = {**dict(task.outputs), **self._options, OUTPUT_DIR: folder}
         elif task.outputs:
             names = ", ".join(name for name, _ in task.outputs)
-            gym.logger.warn("%s", f"{task.net}: outputs are off ({names}); output_dir=... writes them")
+            gym.logger.warn("%s", f"outputs are off ({names}); output_dir=... writes them")
 
     @property
     def is_sumo(self) -> bool:

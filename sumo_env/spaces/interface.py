@@ -24,7 +24,6 @@ from sumo_env.spaces.observation import ExitObservation, Kinematics, TimeToColli
 from sumo_env.spaces.occupancy import OccupancyGrid
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
-from sumo_env.tasks.network import NetworkTask
 
 ObservationType = Kinematics | TimeToCollision | OccupancyGrid | Grayscale | Lidar | LeadersFollowers
 
@@ -43,7 +42,7 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         ConfigError: the reward cannot be normalised, the entry of the action or of the observation is malformed, or the
             simulator has no use for it.
     """
-    if config["drivers"] == MEASURED and (steers or isinstance(task, NetworkTask)):
+    if config["drivers"] == MEASURED and (steers or task.of_files):
         raise ConfigError("'drivers' can only be 'highway-env' here: measured drivers are for sumo/*")
     kind = action_type(config["action"], task.target_speeds, steers)
     if isinstance(kind, ContinuousAction) and kind.lateral and not steers and task.name in TASKS:
@@ -60,11 +59,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         )
     road = task.road(config)
     observation: ObservationType
-    given, of_network = config["observation"], isinstance(task, NetworkTask)
+    given = config["observation"]
     if given["type"] == "Kinematics":
-        if isinstance(task, NetworkTask):
-            given = {**task.table, **given}
-        observation = Kinematics(given, road.count(*task.ego_road), on_its_way=of_network)
+        observation = Kinematics({**task.table, **given}, road.count(*task.ego_road), on_its_way=task.of_files)
     elif given["type"] == "ExitObservation":
         observation = ExitObservation(given, road.count(*task.ego_road), road)
     elif given["type"] == "OccupancyGrid":
@@ -72,9 +69,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     elif given["type"] == "GrayscaleObservation":
         observation = Grayscale(given, config)
     elif given["type"] == "LidarObservation":
-        observation = Lidar(given, own_axes=of_network)
+        observation = Lidar(given, own_axes=task.of_files)
     elif given["type"] == "LeadersFollowers":
-        observation = LeadersFollowers(given, on_its_way=of_network)
+        observation = LeadersFollowers(given, on_its_way=task.of_files)
     elif not kind.names:
         raise ConfigError(f"'TimeToCollision' needs target speeds: {config['action']['type']!r} has none")
     else:

@@ -47,6 +47,7 @@ class NetworkTask(Task):
     """The ego drives along its route: fast, without a crash, and in the lanes that lead on."""
 
     name = "network"
+    of_files = True
     defaults = {
         "observation": {
             "type": "Kinematics",
@@ -109,7 +110,6 @@ class NetworkTask(Task):
         if len(set(vehicles := names_of("vehicles", vehicles))) < len(vehicles):
             raise ConfigError(f"vehicles must be different ids, not {vehicles!r}")
         (file,) = paths("network", network)
-        self.outputs: tuple[tuple[str, str], ...] = ()  # of the configuration, which are off
         if is_configuration(file):
             options = configuration(file)
             self.outputs = tuple((name, value) for name, value in options.items() if is_output(name))
@@ -158,7 +158,7 @@ class NetworkTask(Task):
         seen = self.defaults.get("observation", table)
         if seen["type"] == table["type"]:
             seen = table = {**table, **seen}
-        self.table: Config = table
+        self.table = table
         self.defaults = {
             **self.defaults,
             "observation": seen,

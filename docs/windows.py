@@ -13,7 +13,8 @@ from typing import Any
 
 from PIL import Image, ImageGrab
 
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "img" / "windows"

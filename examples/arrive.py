@@ -23,7 +23,7 @@ import gymnasium as gym
 import sumolib
 import torch
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import ON_ITS_WAY
 
 TEST, TUNE = 10_000, 50_000  # first seeds of the test's episodes, and of those for the choice of settings

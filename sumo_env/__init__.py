@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from sumo_env.benchmark import benchmark_scenarios as benchmark_scenarios
     from sumo_env.check import check_task as check_task
     from sumo_env.env import DrivingEnv as DrivingEnv
-    from sumo_env.env import SumoDrivingEnv as SumoDrivingEnv
     from sumo_env.parallel import parallel_env as parallel_env
+    from sumo_env.scenarios import SumoDrivingEnv as SumoDrivingEnv
     from sumo_env.tasks.base import Task as Task
 
 _HERE = Path(__file__).parent
@@ -90,7 +90,7 @@ def register(id: str, task: Any) -> None:
 # What is imported when it is asked for, so that ``import sumo_env`` takes no time.
 _LATER = {
     "DrivingEnv": "sumo_env.env",
-    "SumoDrivingEnv": "sumo_env.env",
+    "SumoDrivingEnv": "sumo_env.scenarios",
     "Task": "sumo_env.tasks.base",
     "check_task": "sumo_env.check",
     "benchmark_scenarios": "sumo_env.benchmark",

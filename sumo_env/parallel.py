@@ -15,9 +15,9 @@ from sumo_env.config import ConfigError, one_of
 from sumo_env.env.cars import REPLICA, Cars, asked
 from sumo_env.env.driving import DrivingEnv, Seen
 from sumo_env.networks import files
+from sumo_env.scenarios import NetworkTask
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
-from sumo_env.tasks.network import NetworkTask
 from sumo_env.tasks.reset_options import OPTIONS, given
 
 try:
@@ -190,7 +190,7 @@ def parallel_env(
 
     Args:
         env: an id such as ``"sumo/highway-v0"`` or ``"replica/intersection-v1"``, the name of a task, a task of your
-            own, or a file of SUMO as of `sumo_env.env.SumoDrivingEnv`.
+            own, or a file of SUMO as of `sumo_env.scenarios.SumoDrivingEnv`.
         config: keys of the configuration to change, for all cars; ``controlled_vehicles`` says how many cars there are.
         render_mode: None, ``"rgb_array"`` or ``"human"``.
         remove_crashed: whether crashed cars leave the road; not on the replica.

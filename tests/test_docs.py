@@ -22,8 +22,8 @@ from docs.pages import filled, page_of, templates
 from experiments.study.design.sheet import GRID
 from sumo_env.config import COMMON, FIXED, WITHOUT_EFFECT
 from sumo_env.contacts.crash import CrashRecord
+from sumo_env.scenarios import NetworkTask
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.network import NetworkTask
 from tests.processes import ROOT, python_again
 from tests.tasks import OF_HIGHWAY_ENV, every_task
 

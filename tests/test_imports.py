@@ -68,7 +68,7 @@ def test_imports_point_one_way() -> None:
 FLOORS = {
     "sumo_env": """
         networks < scene streams not_here < config < contacts < traffic < tasks simulator < rendering sumo < spaces
-        < compat < env < __main__
+        < compat < env < scenarios < __main__ parallel
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation

@@ -6,7 +6,7 @@ After 10,000 steps the agent is not ahead of a constant action (docs/examples.md
 
 from pathlib import Path
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 
 NETWORKS = Path(__file__).parent / "networks"
 CONFIG = {

@@ -6,7 +6,7 @@ After 14,000 steps the agent is not ahead of a constant action (docs/examples.md
 
 from pathlib import Path
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 
 NETWORK = Path(__file__).parent / "networks" / "left_turn.net.xml"
 ROUTES = [["nc", "cs"], ["nc", "cs"], ["wc", "ce"], ["ec", "cw"]]  # half of the cars come towards the ego

@@ -6,7 +6,7 @@ After 6,000 steps the agent is behind a constant action (docs/examples.md).
 
 from pathlib import Path
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 
 NETWORK = Path(__file__).parent / "networks" / "lights.net.xml"
 MAIN = ["in", "m0", "m1", "m2", "m3"]

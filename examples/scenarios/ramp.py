@@ -6,7 +6,7 @@ agent is not ahead of a constant action (docs/examples.md).
 
 from pathlib import Path
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 
 NETWORK = Path(__file__).parent / "networks" / "ramp.net.xml"
 CONFIG = {

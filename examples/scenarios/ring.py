@@ -6,7 +6,7 @@ The reward is the mean speed of all cars, the ego included.
 from pathlib import Path
 
 from sumo_env.env import DrivingEnv
-from sumo_env.tasks.network import NetworkTask
+from sumo_env.scenarios import NetworkTask
 
 NETWORKS = Path(__file__).parent / "networks"
 CONFIG = {

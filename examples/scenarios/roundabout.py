@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from sumo_env.env import SumoDrivingEnv
-from sumo_env.hand_over import HandOver
+from sumo_env.scenarios import HandOver, SumoDrivingEnv
 
 NETWORK = Path(__file__).parent / "networks" / "roundabout.net.xml"
 # once around from every entry but the ego's, so that all of them pass its entry, and one exit of three

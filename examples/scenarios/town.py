@@ -6,7 +6,7 @@ distance; SUMO chooses the lanes.
 
 from pathlib import Path
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 
 NETWORKS = Path(__file__).parent / "networks"
 TRIPS = [("-225", "202"), ("-301", "308"), ("-198", "225")]

@@ -17,11 +17,10 @@ from sumo_env.simulator import Simulator
 from sumo_env.sumo import export
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.settings import file_settings
-from sumo_env.sumo.user_options import OUTPUT_DIR, check_live, check_options
+from sumo_env.sumo.user_files import is_output, temporary_folder
+from sumo_env.sumo.user_options import OUTPUT_DIR, check_live, check_options, check_outputs
 from sumo_env.tasks.base import Task
-from sumo_env.traffic.file_checks import check_outputs
 from sumo_env.traffic.scenario import Scenario
-from sumo_env.traffic.sumo_files import is_output, temporary_folder
 
 
 class SumoAccess:

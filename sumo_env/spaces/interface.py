@@ -61,7 +61,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     observation: ObservationType
     given = config["observation"]
     if given["type"] == "Kinematics":
-        observation = Kinematics({**task.table, **given}, road.count(*task.ego_road), on_its_way=task.of_files)
+        observation = Kinematics(
+            {**task.table, **given}, road.count(*task.ego_road), on_its_way=task.of_files
+        )
     elif given["type"] == "ExitObservation":
         observation = ExitObservation(given, road.count(*task.ego_road), road)
     elif given["type"] == "OccupancyGrid":

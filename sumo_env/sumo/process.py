@@ -36,7 +36,7 @@ from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
 
 SIMULATOR = "sumo_env.sumo.world:SumoSimulator"
-FILE_SIMULATOR = "sumo_env.sumo.file_world:FileSimulator"  # of scenarios with SUMO's own traffic
+FILE_SIMULATOR = "sumo_env.scenarios.simulator:FileSimulator"  # of scenarios with SUMO's own traffic
 TIMEOUT = 300.0  # [s] for an answer; a step takes milliseconds, the start of a worker less than a second
 GRACE = 5.0  # [s] for a worker to end by itself
 SEVERAL = (

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
+from sumo_env.sumo.user_files import is_output
 from sumo_env.sumo.user_options import OUTPUT_DIR
 from sumo_env.traffic.scenario import Scenario
-from sumo_env.traffic.sumo_files import is_output
 
 # What the environment cannot do without: contacts are reported at every step and at junctions, and change nothing.
 COLLISIONS = {

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from sumo_env.config import ConfigError
-from sumo_env.traffic.sumo_files import is_output
+from sumo_env.sumo.user_files import is_output
 
 # What the environment sets itself, or could not do its work with: everywhere, in tasks that place their vehicles
 # themselves, and where SUMO loads the traffic of its own files.
@@ -87,6 +87,24 @@ def check_options(options: Sequence[str], of_files: bool) -> dict[str, str]:
     if without := [name for name, value in named.items() if value == "true" and is_output(name)]:
         raise ConfigError(f"sumo_options: --{without[0]} needs a file")
     return named
+
+
+def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
+    """That outputs of a configuration, as (option, value), are files, and go where the others go.
+
+    Raises:
+        ConfigError: one opens a connection, or ignores the folder that is asked for.
+    """
+    for option, value in outputs:
+        if option == "vtk-output":
+            raise ConfigError(f"{option}={value!r} would not go to output_dir: take it as a sumo_option")
+        if is_connection(value):
+            raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
+
+
+def is_connection(name: str) -> bool:
+    """As SUMO decides: a colon, but for the letter of a drive of Windows."""
+    return name.find(":") > 1 or name.startswith("[")
 
 
 def check_copyable(options: Iterable[str]) -> None:

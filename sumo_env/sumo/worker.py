@@ -20,7 +20,7 @@ from typing import Any
 
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.pipe import FORKS, connect, receive, send
-from sumo_env.traffic.sumo_files import delete_own_folder
+from sumo_env.sumo.user_files import delete_own_folder
 
 
 def make(name: str, options: Mapping[str, str]) -> Any:

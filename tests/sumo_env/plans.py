@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from tests.sumo_env.rollout import drive
 
 try:

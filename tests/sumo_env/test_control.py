@@ -10,8 +10,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
-from sumo_env.hand_over import HandOver
+from sumo_env.env import DrivingEnv
+from sumo_env.scenarios import HandOver, SumoDrivingEnv
 from sumo_env.scene import MAX_SPEED
 from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build
 from tests.sumo_env.rollout import drive

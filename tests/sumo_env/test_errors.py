@@ -20,13 +20,13 @@ from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import Replica
+from sumo_env.scenarios import NetworkTask
 from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.user_options import check_copyable
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
-from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import VehicleSpec
-from tests.sumo_env.scenarios import drivers
+from tests.sumo_env.situations import drivers
 
 META, PEDALS, GRID = {"type": "DiscreteMetaAction"}, {"type": "ContinuousAction"}, {"type": "OccupancyGrid"}
 TABLE, STEPS = {"type": "Kinematics"}, {"type": "DiscreteAction"}

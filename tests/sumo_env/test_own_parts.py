@@ -24,7 +24,7 @@ from sumo_env.tasks import TASKS
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import drive, observations
-from tests.sumo_env.scenarios import draw, with_leader
+from tests.sumo_env.situations import draw, with_leader
 
 # -- roads -------------------------------------------------------------------------------------------------
 

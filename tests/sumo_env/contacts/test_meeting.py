@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from sumolib.geomhelper import polygonOffsetWithMinimumDistanceToPoint
 
-from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.networks.mapping import network
 from sumo_env.networks.meeting import Meeting, Spot
 from sumo_env.networks.roads import road
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.sumo import surroundings
 from sumo_env.tasks import TASKS
 from tests.sumo_env.plans import QUIET, another, build, needs_sumo, route_file

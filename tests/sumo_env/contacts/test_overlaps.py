@@ -8,13 +8,13 @@ from random import Random
 
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
-from sumo_env.sumo.route_ego import RouteEgo
+from sumo_env.scenarios import SumoDrivingEnv
+from sumo_env.scenarios.route_ego import RouteEgo
 from sumo_env.sumo.session import Session
 from tests.sumo_env.plans import QUIET, SUMO_DRIVES, another, build, needs_sumo, route_file, streets
 from tests.sumo_env.rollout import drive
-from tests.sumo_env.scenario.driven import KINDS
+from tests.sumo_env.scenarios.driven import KINDS
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*")]
 LEFT, IDLE, RIGHT, FASTER, _ = range(5)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks.files import network
 from sumo_env.rendering.markings import markings
 from sumo_env.rendering.scenery import FILM, HIGHWAY_ENVS, Camera, scenery
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import LETTERS
 from sumo_env.tasks import TASKS
 from tests.processes import python

@@ -16,7 +16,7 @@ from sumo_env.simulator import EgoCommand
 from sumo_env.traffic import risk
 from sumo_env.traffic.risk import RiskEvent
 from sumo_env.traffic.scenario import Scenario
-from tests.sumo_env.scenarios import draw
+from tests.sumo_env.situations import draw
 
 
 @pytest.mark.parametrize("task", ["highway", "u-turn", "roundabout"])

@@ -10,12 +10,12 @@ import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
 from sumo_env.networks.roads import highway
+from sumo_env.scenarios import NetworkTask, SumoDrivingEnv
 from sumo_env.scene import NOBODY, Neighbour, Scene
 from sumo_env.spaces.leaders_followers import neighbours_on
 from sumo_env.spaces.observation import on_its_way
-from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, route_file
 
 FASTER, SLOWER = 3, 4

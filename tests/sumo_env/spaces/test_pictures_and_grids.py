@@ -12,8 +12,8 @@ import pytest
 from highway_env.envs.common.observation import observation_factory
 
 import sumo_env  # noqa: F401  (likewise)
-from sumo_env.env import SumoDrivingEnv
 from sumo_env.rendering.scenery import HIGHWAY_ENVS
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.spaces.lidar import Lidar
 from tests.processes import ROOT
 from tests.sumo_env.replica.pairs import EQUAL, SLOW, SLOW_EQUAL, episode

@@ -16,14 +16,15 @@ import libsumo
 import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import TASKS
 from tests.processes import children, descriptors, ends
 from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.rollout import assert_same_bits, drive
-from tests.sumo_env.scenario import files
+from tests.sumo_env.scenarios import files
 from tests.sumo_env.sumo.fake import COMMAND, FAKE, scenario
 
 

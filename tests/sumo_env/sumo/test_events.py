@@ -22,7 +22,7 @@ from sumo_env.tasks.highway import Highway
 from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent, free_way
 from sumo_env.traffic.scenario import Scenario
 from tests.processes import python
-from tests.sumo_env.scenarios import draw, with_leader
+from tests.sumo_env.situations import draw, with_leader
 
 
 @pytest.mark.parametrize("task", ["highway", "two-way"])

@@ -21,7 +21,8 @@ NAME = "one, two: ${HOME} $HOME%2C;"
 # Two environments, the second one in a worker, on the u-turn and on its network as a network of one's own.
 DRIVE = """
 import sys
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import road
 routes = network(road("u-turn")).routes
@@ -56,7 +57,7 @@ def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
 
 def test_the_folder_of_a_killed_process_is_deleted_by_a_later_one(tmp_path: Path) -> None:
     """That of a process that is alive is not."""
-    mine = "from sumo_env.traffic.sumo_files import own_folder\nprint(own_folder(), flush=True)\n"
+    mine = "from sumo_env.sumo.user_files import own_folder\nprint(own_folder(), flush=True)\n"
     waits = mine + "import time\ntime.sleep(60)\n"
     alive, killed = (started("-c", waits, TMPDIR=str(tmp_path)) for _ in range(2))
     with alive, killed:

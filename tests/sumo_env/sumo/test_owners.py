@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, NO_RULES, OWN_LANE_CHANGES, REGULAR
@@ -27,8 +27,8 @@ from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, RiskRates, pushes
 from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.plans import SUMO_DRIVES, needs_sumo
-from tests.sumo_env.scenario import files
-from tests.sumo_env.scenarios import draw
+from tests.sumo_env.scenarios import files
+from tests.sumo_env.situations import draw
 from tests.tasks import every_task
 
 HZ = 10  # of policy steps too, so that every sub-step is looked at

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
 from sumo_env.networks.lanes import StraightLane
 from sumo_env.networks.mapping import read_net, sumo_lanes_of
 from sumo_env.networks.roads import Road
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.u_turn import UTurn

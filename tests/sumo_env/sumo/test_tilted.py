@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
 from sumo_env.env.cars import make
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.sumo.tilted import Tilted
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events

@@ -15,7 +15,7 @@ from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.rollout import drive
-from tests.sumo_env.scenarios import draw, drivers
+from tests.sumo_env.situations import draw, drivers
 from tests.tasks import every_task
 
 Start = Callable[..., DrivingEnv]

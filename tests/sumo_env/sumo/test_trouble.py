@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.session import Session
 from tests.processes import ended
 from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.rollout import drive
-from tests.sumo_env.scenario import files
+from tests.sumo_env.scenarios import files
 
 SCRIPT = """
 import json, sys

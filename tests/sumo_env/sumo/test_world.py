@@ -19,7 +19,7 @@ from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario, Spawn
 from tests.sumo_env.rollout import assert_same_bits, drive
-from tests.sumo_env.scenarios import alone, draw, with_leader
+from tests.sumo_env.situations import alone, draw, with_leader
 from tests.tasks import every_task
 
 Start = Callable[..., DrivingEnv]

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from tests.sumo_env.plans import QUIET, build, needs_sumo, opened, route_file
 from tests.sumo_env.rollout import drive

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from tests.sumo_env.plans import build, grid, needs_sumo, route_file
 from tests.sumo_env.rollout import drive, observations

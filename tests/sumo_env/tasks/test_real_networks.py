@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from sumo_env.config import ConfigError
-from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.networks.mapping import Network
+from sumo_env.scenarios import SumoDrivingEnv
 from tests.sumo_env.plans import QUIET, build, endings, grid, route_file
 
 sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[gui]'")

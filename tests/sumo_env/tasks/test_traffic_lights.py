@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
+from sumo_env.scenarios.route_ego import speed_before
 from sumo_env.scene import GREEN, NO_LIGHT, RED, UNLIT, YELLOW, Light
-from sumo_env.sumo.route_ego import speed_before
 from tests.sumo_env.rollout import drive
 
 sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[gui]'")

@@ -24,7 +24,7 @@ from sumo_env.traffic.drivers import (
     vehicle_type,
 )
 from sumo_env.traffic.scenario import fits
-from tests.sumo_env.scenarios import draw, drivers
+from tests.sumo_env.situations import draw, drivers
 from tests.tasks import every_task
 
 BASE = CarFollowing()

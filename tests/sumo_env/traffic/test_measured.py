@@ -17,7 +17,7 @@ from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.traffic.drivers import POOL, Driver
 from sumo_env.traffic.measured import ACCEL, DECEL, DELTA, TAU, MeasuredPool, Normal
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
-from tests.sumo_env.scenarios import draw
+from tests.sumo_env.situations import draw
 from tests.tasks import every_task
 
 LAWS = {"tau": TAU, "accel": ACCEL, "decel": DECEL, "delta": DELTA}

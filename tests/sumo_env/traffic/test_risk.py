@@ -19,7 +19,7 @@ from sumo_env.traffic.risk import (
     free_way,
     has_room,
 )
-from tests.sumo_env import scenarios
+from tests.sumo_env import situations
 
 RATES = RiskRates(cut_in=0.1, brake=0.1, surge=0.1)
 VEHICLES = tuple((f"v{k}", 0.0) for k in range(200))
@@ -68,7 +68,7 @@ def test_events_carry_what_the_rates_say() -> None:
 
 
 def test_who_comes_later_may_have_events_from_then_on() -> None:
-    scenario = scenarios.draw("intersection", policy_frequency=5)
+    scenario = situations.draw("intersection", policy_frequency=5)
     comes = dict(scenario.lifetimes)
     assert len(comes) == len(scenario.vehicles) + len(scenario.spawns) > len(scenario.vehicles)
     assert {spawn.vehicle.id: spawn.step / 5 for spawn in scenario.spawns}.items() <= comes.items()

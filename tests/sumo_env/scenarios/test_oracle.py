@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand
 from tests.sumo_env.plans import SUMO, Rows, floating_car_data, needs_sumo
-from tests.sumo_env.scenario.files import SCENARIOS, written
+from tests.sumo_env.scenarios.files import SCENARIOS, written
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*outputs are off")]
 SECONDS = 300

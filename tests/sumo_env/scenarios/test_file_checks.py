@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from sumo_env.config import ConfigError
-from sumo_env.env import SumoDrivingEnv
-from sumo_env.traffic.file_checks import check_files
+from sumo_env.scenarios import SumoDrivingEnv
+from sumo_env.scenarios.file_checks import check_files
 from tests.sumo_env.plans import needs_sumo
-from tests.sumo_env.scenario.files import written
+from tests.sumo_env.scenarios.files import written
 
 WRITERS = {
     "edgeData": '<edgeData id="e" period="1" file="{}"/>',

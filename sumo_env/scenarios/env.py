@@ -8,7 +8,7 @@ from typing import Any
 
 from sumo_env.config import ConfigError
 from sumo_env.env.driving import DrivingEnv
-from sumo_env.tasks.network import NetworkTask
+from sumo_env.scenarios.network import NetworkTask
 
 # route files, or routes
 Routes = str | Path | Sequence[str | Path] | Mapping[str, Sequence[str]] | Sequence[Sequence[str]]

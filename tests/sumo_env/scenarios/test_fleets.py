@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from tests.processes import ended
 from tests.sumo_env.plans import SUMO_DRIVES, build, floating_car_data, needs_sumo, route_file
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, needs_sumo, route_file, streets
 from tests.sumo_env.rollout import drive
 

@@ -10,10 +10,10 @@ import pytest
 
 from sumo_env import parallel_env
 from sumo_env.config import ConfigError, warn_once
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from tests.sumo_env.plans import grid, needs_sumo
-from tests.sumo_env.scenario.files import written
+from tests.sumo_env.scenarios.files import written
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
 WAY = ["A0A1", "A1B1", "B1C1", "C1C2"]

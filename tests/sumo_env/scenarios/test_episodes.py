@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from sumo_env.config import ConfigError
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
+from sumo_env.scenarios import NetworkTask, SumoDrivingEnv
 from sumo_env.scene import ON_ITS_WAY, Scene
 from sumo_env.sumo.process import SumoProcess
-from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, floating_car_data, needs_sumo
 from tests.sumo_env.rollout import drive
-from tests.sumo_env.scenario.files import written
-from tests.sumo_env.scenario.test_oracle import fronts
+from tests.sumo_env.scenarios.files import written
+from tests.sumo_env.scenarios.test_oracle import fronts
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*(outputs are off|several environments)")]
 _, IDLE, _, FASTER, SLOWER = range(5)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from tests.processes import python
 from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
 from tests.sumo_env.rollout import drive
-from tests.sumo_env.scenario.test_oracle import differences, driven
+from tests.sumo_env.scenarios.test_oracle import differences, driven
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
 SECONDS = 12
@@ -280,7 +280,7 @@ ODD = """
 import os, sys
 os.chdir(sys.argv[1])
 os.rmdir(sys.argv[1])
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 for _ in range(2):  # the second one is in a worker
     env = SumoDrivingEnv(os.fsdecode(sys.argv[2].encode("utf-8", "surrogateescape")), ego_vehicle="ego")
     env.reset(seed=7)

@@ -10,7 +10,7 @@ import gzip
 import os
 import re
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from math import inf
 from pathlib import Path
@@ -18,7 +18,8 @@ from typing import NoReturn
 from xml.parsers import expat
 
 from sumo_env.config import ConfigError, did_you_mean
-from sumo_env.traffic.sumo_files import INPUTS, seconds
+from sumo_env.sumo.user_files import INPUTS, seconds
+from sumo_env.sumo.user_options import is_connection
 
 NOT_IN_NETWORKS = {"edgeData", "laneData", "timedEvent"}  # they end the process there
 VEHICLES = {"vehicle", "trip", "flow"}
@@ -113,19 +114,6 @@ def _stamped(path: Path) -> tuple[Path, int, int]:
         raise ConfigError(f"there is no file {path}")
     about = path.stat()
     return path, about.st_mtime_ns, about.st_size
-
-
-def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
-    """That outputs of a configuration, as (option, value), are files, and go where the others go.
-
-    Raises:
-        ConfigError: one opens a connection, or ignores the folder that is asked for.
-    """
-    for option, value in outputs:
-        if option == "vtk-output":
-            raise ConfigError(f"{option}={value!r} would not go to output_dir: take it as a sumo_option")
-        if _is_connection(value):
-            raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
 
 
 class _Reader:
@@ -227,7 +215,7 @@ class _Reader:
         if re.search("file|output", has.get("key", "")):
             named[has["key"]] = has.get("value", "")
         for name, value in named.items():
-            if _is_connection(value):
+            if is_connection(value):
                 self._refuse(
                     f'<{tag}> opens a connection to another program, {name}="{value:.60}": name a file'
                 )
@@ -237,8 +225,3 @@ class _Reader:
             self._includes.append(Path(os.path.realpath(self._path.parent / name)))
         if tag == "variableSpeedSign" and not (self._path.parent / has.get("file", "")).exists():
             self._refuse(f"there is no file {has['file']!r}, which ends the process")
-
-
-def _is_connection(name: str) -> bool:
-    """As SUMO decides: a colon, but for the letter of a drive of Windows."""
-    return name.find(":") > 1 or name.startswith("[")

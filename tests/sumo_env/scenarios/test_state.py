@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.env import SumoDrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import SECONDS_LEFT
 from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, grid, needs_sumo, route_file, streets
 from tests.sumo_env.rollout import drive

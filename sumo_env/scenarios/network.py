@@ -12,16 +12,12 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError, names_of, warn_once
 from sumo_env.networks import files
 from sumo_env.networks.roads import Road
+from sumo_env.scenarios.file_checks import UNSORTED, check_files
+from sumo_env.scenarios.random_traffic import elements
+from sumo_env.scenarios.reward_terms import TERMS, measures_energy, terms
 from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST
 from sumo_env.streams import stream
-from sumo_env.tasks.base import EgoState, Task, ego_driver, make_on_lane, speed_term
-from sumo_env.tasks.random_traffic import elements
-from sumo_env.tasks.reward_terms import TERMS, measures_energy, terms
-from sumo_env.traffic.drivers import LACKING
-from sumo_env.traffic.file_checks import UNSORTED, check_files
-from sumo_env.traffic.risk import RiskRates
-from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
-from sumo_env.traffic.sumo_files import (
+from sumo_env.sumo.user_files import (
     configuration,
     is_configuration,
     is_output,
@@ -29,6 +25,10 @@ from sumo_env.traffic.sumo_files import (
     plain_path,
     seconds,
 )
+from sumo_env.tasks.base import EgoState, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.traffic.drivers import LACKING
+from sumo_env.traffic.risk import RiskRates
+from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
 
 Route = Sequence[str]
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
@@ -96,7 +96,7 @@ class NetworkTask(Task):
         vehicle_type: str = "",
         max_cars: int = 0,
     ) -> None:
-        """See `sumo_env.env.SumoDrivingEnv`, and of the last three `sumo_env.parallel`; errors are ValueErrors."""
+        """See `SumoDrivingEnv`, and of the last three `sumo_env.parallel`; errors are ValueErrors."""
         for name, instead in NOT_ASKED.items():
             if getattr(type(self), name) is not getattr(Task, name):
                 raise ConfigError(f"{type(self).__name__}.{name} is never asked: on SUMO's files {instead}")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from sumo_env.config import ConfigError, warn_once
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
+from sumo_env.scenarios import NetworkTask, SumoDrivingEnv
 from sumo_env.simulator import EgoCommand
 from sumo_env.tasks.highway import Highway
-from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.drivers import RISK_RANGES
 from sumo_env.traffic.risk import EventKind, RiskRates
 from tests.sumo_env.plans import build, needs_sumo, route_file

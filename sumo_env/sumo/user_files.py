@@ -1,7 +1,7 @@
 """SUMO's own files (.sumocfg, routes, additional files), as the options with which SUMO loads them.
 
-SUMO reads, routes, inserts and removes what is in the files; `file_checks` looks into them before. This module knows
-which files there are, and how SUMO understands their names.
+SUMO reads, routes, inserts and removes what is in the files; `scenarios.file_checks` looks into them before. This
+module knows which files there are, and how SUMO understands their names.
 """
 
 from __future__ import annotations

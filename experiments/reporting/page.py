@@ -5,7 +5,7 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -242,14 +242,20 @@ def checks(results: Results) -> dict[str, Any]:
     return {"relevant": bool(on_sumo), "total": total, "missed": missed}
 
 
-def render(variables: Mapping[str, Any], template: str) -> str:
-    """One of the templates as a text."""
+@cache
+def templates(autoescape: bool) -> Environment:
+    """All templates, each compiled once: of HTML, or of plain text."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
-        autoescape=template.endswith(".html.j2"),
+        autoescape=autoescape,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters |= FILTERS
-    return environment.get_template(template).render(variables)
+    return environment
+
+
+def render(variables: Mapping[str, Any], template: str) -> str:
+    """One of the templates as a text."""
+    return templates(template.endswith(".html.j2")).get_template(template).render(variables)

@@ -118,7 +118,7 @@ def test_ways_that_sumo_lets_pass_through_each_other_are_named(
 @pytest.mark.parametrize(
     ("episodes", "is_judged_by_outlines"),
     [
-        pytest.param(range(5), True, marks=pytest.mark.slow),
+        pytest.param(range(3), True, marks=pytest.mark.slow),
         *(
             pytest.param(range(first, first + 10), False, marks=pytest.mark.long)
             for first in range(0, 50, 10)

@@ -92,7 +92,7 @@ def ways() -> tuple[np.ndarray, np.ndarray]:
 
 def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways) -> None:
     before, after = ways
-    looks = 400
+    looks = 200
     states = [rows(poses[i].T) for i in (0, 1) for poses in ways]
     ours = np.array([touch_moment(*four) for four in zip(*states, strict=True)])
     share = np.arange(looks + 1)[:, None, None, None] / looks

@@ -24,7 +24,7 @@ EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
 STEERING: dict[str, Any] = {"type": "ContinuousAction"}
 STEPS = {"type": "DiscreteAction"}
-SHORTER = {"highway": {"duration": 12}}  # highway-env needs half a second for each of its steps
+SHORTER = {"highway": {"duration": 7}}  # highway-env needs half a second for each of its steps
 QUICK = {"simulation_frequency": 15, "policy_frequency": 5, "duration": 6}
 WAYS: list[tuple[str, dict[str, Any]]] = [
     ("intersection", {**STEERING, "lateral": False, "acceleration_range": [-6.0, 3.0]}),

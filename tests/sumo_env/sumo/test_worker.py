@@ -307,7 +307,7 @@ def test_closing_or_forgetting_the_first_frees_it() -> None:
 
 
 def test_threads_do_not_share_it() -> None:
-    simulators = [open_simulator() for _ in range(6)]
+    simulators = [open_simulator() for _ in range(4)]
     barrier = threading.Barrier(len(simulators))
 
     def reset(index: int) -> None:

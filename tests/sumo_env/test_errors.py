@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -370,3 +372,11 @@ def test_a_call_is_refused(call: Callable[[], Any], error: type[Exception], word
         made = call()
         made.reset(seed=0)
     assert word in str(caught.value)
+
+
+def test_pettingzoo_is_needed_by_the_call_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by what looks at all names of the package, as ``help`` does."""
+    monkeypatch.delitem(sys.modules, "sumo_env.parallel", raising=False)
+    monkeypatch.setitem(sys.modules, "pettingzoo", None)
+    with pytest.raises(ModuleNotFoundError, match="pip install pettingzoo"):
+        dict(inspect.getmembers(sumo_env))["parallel_env"]("sumo/highway-v0")

@@ -303,6 +303,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: DrivingEnv("highway", simulator=Replica(), sumo_options=["-v"]), ValueError, "`simulator`"),
     (lambda: DrivingEnv("highway", acts({"type": "MultiAgentAction"})), ConfigError, "sumo_env.parallel_env"),
     (lambda: make_env("replica", "uturn", {}), UserError, "unknown task"),
+    (lambda: make_env("replca", "u-turn"), UserError, "did you mean 'replica'"),
     (lambda: sumo_env.HighwayEnv, AttributeError, "sumo_env.envs"),
     (lambda: sumo_env.parallel_env("highway", {"controlled_vehicles": 2}).vehicle, AttributeError, "env.cars[agent]"),
     (lambda: gym.make_vec("replica/highway-v0", 1).render(), AttributeError, "sync"),

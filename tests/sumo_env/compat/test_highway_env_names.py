@@ -274,10 +274,8 @@ def alike(ours: Any, theirs: Any) -> None:
     assert ours.observation_type.space() == theirs.observation_type.space()
     assert ours.action_type.space() == theirs.action_type.space()
     mine, yours = ours.road.network, theirs.road.network
-    assert {a: {b: len(lanes) for b, lanes in ends.items()} for a, ends in mine.graph.items()} == {
-        a: {b: len(lanes) for b, lanes in ends.items()} for a, ends in yours.graph.items()
-    }
-    assert list(mine.lanes_dict()) == list(yours.lanes_dict())
+    lanes = [(a, b, k) for a, ends in mine.graph.items() for b, row in ends.items() for k in range(len(row))]
+    assert lanes == list(mine.lanes_dict()) == list(yours.lanes_dict())
     place, heading = theirs.vehicle.position, theirs.vehicle.heading
     for a, b in zip(mine.lanes_list(), yours.lanes_list(), strict=True):
         same_kind(a, b)

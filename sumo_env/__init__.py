@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from sumo_env.benchmark import benchmark_scenarios as benchmark_scenarios
     from sumo_env.check import check_task as check_task
     from sumo_env.env import DrivingEnv as DrivingEnv
-    from sumo_env.parallel import parallel_env as parallel_env
     from sumo_env.scenarios import SumoDrivingEnv as SumoDrivingEnv
     from sumo_env.tasks.base import Task as Task
 
@@ -87,6 +86,13 @@ def register(id: str, task: Any) -> None:
     )
 
 
+def parallel_env(env: Any, config: Any = None, **keywords: Any) -> Any:
+    """Several learning cars as PettingZoo's ``ParallelEnv``, see `sumo_env.parallel.parallel_env`."""
+    from sumo_env.parallel import parallel_env  # PettingZoo, of the extra [multi-agent]
+
+    return parallel_env(env, config, **keywords)
+
+
 # What is imported when it is asked for, so that ``import sumo_env`` takes no time.
 _LATER = {
     "DrivingEnv": "sumo_env.env",
@@ -94,7 +100,6 @@ _LATER = {
     "Task": "sumo_env.tasks.base",
     "check_task": "sumo_env.check",
     "benchmark_scenarios": "sumo_env.benchmark",
-    "parallel_env": "sumo_env.parallel",  # needs PettingZoo, of the extra [multi-agent]
 }
 
 

@@ -28,7 +28,9 @@ REPLICA = {"scenarios": "seeded", "variant": "path", "risk_law": "standard"}
 
 
 def has(backend: str, task: str) -> bool:
-    """Whether a backend has a task. ImportError for a backend that is not installed."""
+    """Whether a backend has a task. UserError for an unknown backend, ImportError for one that is not installed."""
+    if backend not in BACKENDS:
+        raise unknown("backend", backend, BACKENDS)
     module, _, id = IDS[backend].format(task).partition(":")
     importlib.import_module(module)
     return id in gym.registry
@@ -55,7 +57,7 @@ def make_env(
         render_mode: None or "rgb_array".
 
     Raises:
-        UserError: unknown task, or the backend lacks it. ImportError: the backend is not installed.
+        UserError: unknown backend or task, or the backend lacks the task. ImportError: it is not installed.
     """
     require(backend, task)
     settings, fixed = dict(config or {}), {}

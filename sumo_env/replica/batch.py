@@ -76,9 +76,8 @@ class RewardWeights(NamedTuple):
     lane_change: float
     arrived: float
     held_up: float
-    places: tuple[
-        int, int
-    ]  # lanes that count: where somebody may be held up, or the two that are the goal; or NONE
+    # lanes that count: where somebody may be held up, or the two that are the goal; or NONE
+    places: tuple[int, int]
     is_normalized: bool
     limits: tuple[float, float]  # rewards that become 0 and 1; (0, 1) where rewards are not normalised
     speed_range: tuple[float, float]  # ``reward_speed_range`` [m/s]

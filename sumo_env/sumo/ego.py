@@ -85,11 +85,8 @@ class Ego:
         """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""
         start, end, place = self._network.indices[lane]
         if self.target_lane[0] == start and self.target_lane[1] != end:
-            self.target_lane = (
-                start,
-                end,
-                place,
-            )  # where lanes parted, it was on another one than it steered for
+            # where lanes parted, it was on another one than it steered for
+            self.target_lane = start, end, place
         if not self.vehicle.may_change_lane():
             self.target_lane = (*self.target_lane[:2], place) if self._road.oncoming else (start, end, place)
             if self._road.oncoming and place == 0 and not self.vehicle.has_lanes:

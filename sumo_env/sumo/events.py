@@ -61,14 +61,15 @@ class Moment(NamedTuple):
         vehicle: on which it acts, with what may be commanded.
         sumo: libsumo's functions of vehicles.
         dt: length of the sub-step [s].
-        near: where the vehicles are within so many metres of the vehicle, itself and some further ones included, by
-            their ids: x, y [m], speed [m/s], heading [rad].
+        look: where all vehicles are, by their ids: x, y [m], speed [m/s], heading [rad].
+        near: likewise those within so many metres of the vehicle, itself and some further ones included.
     """
 
     event: RiskEvent
     vehicle: Vehicle
     sumo: Any
     dt: float
+    look: Callable[[], Mapping[str, State]]
     near: Callable[[float], Mapping[str, State]]
 
 
@@ -269,7 +270,7 @@ class Events:
         def near(reach: float) -> Mapping[str, State]:
             return self._near(*self._look()[vehicle.name][:2], reach)
 
-        return Moment(event, vehicle, self._session.vehicle, dt, near)
+        return Moment(event, vehicle, self._session.vehicle, dt, self._look, near)
 
     def _start(self, event: RiskEvent, time: float, dt: float) -> None:
         """An event begins; one of another kind on this vehicle ends."""

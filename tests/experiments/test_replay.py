@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from PIL import Image
 import agents
 from experiments.replay import Options, parse_case, replay
 from experiments.study.design.cell import tested_on as environment_of
-from experiments.study.replaying.rerun import Case, differences, play_again
+from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
 from experiments.study.results import store
 from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import find_cell
@@ -97,10 +98,18 @@ def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):
     case, _ = first(cells, True)
     assert replay(Options(case, out=tmp_path / "a.gif"), make_other_env) == 1
     errors = capsys.readouterr().err
-    assert "not reproduced" in errors
-    assert "instead of" in errors
+    assert "not reproduced" in errors and "instead of" in errors
     with pytest.raises(UserError, match="is not reproduced: "):
         replay(Options(case, avoid=True), make_other_env)
+
+
+def test_versions_that_have_changed_are_told_of_the_learner_s_packages_too(cells):
+    """Of what is not installed as well, which the stored actions need not have."""
+    record = parse_case(f"{cells[0]}:risky:1").record
+    assert record["versions"]["numba"] and changed_versions(record) == []
+    changed = {**record, "versions": {**record["versions"], "numba": "0.1", "jaxlib": "0.2"}}
+    told = [f"numba {version('numba')} (was 0.1)", "jaxlib not installed (was 0.2)"]
+    assert changed_versions(changed) == told
 
 
 def test_the_beginning_of_a_name_is_enough():

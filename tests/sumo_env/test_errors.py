@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -301,6 +303,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: DrivingEnv("highway", simulator=Replica(), sumo_options=["-v"]), ValueError, "`simulator`"),
     (lambda: DrivingEnv("highway", acts({"type": "MultiAgentAction"})), ConfigError, "sumo_env.parallel_env"),
     (lambda: make_env("replica", "uturn", {}), UserError, "unknown task"),
+    (lambda: make_env("replca", "u-turn"), UserError, "did you mean 'replica'"),
     (lambda: sumo_env.HighwayEnv, AttributeError, "sumo_env.envs"),
     (lambda: sumo_env.parallel_env("highway", {"controlled_vehicles": 2}).vehicle, AttributeError, "env.cars[agent]"),
     (lambda: gym.make_vec("replica/highway-v0", 1).render(), AttributeError, "sync"),
@@ -370,3 +373,11 @@ def test_a_call_is_refused(call: Callable[[], Any], error: type[Exception], word
         made = call()
         made.reset(seed=0)
     assert word in str(caught.value)
+
+
+def test_pettingzoo_is_needed_by_the_call_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by what looks at all names of the package, as ``help`` does."""
+    monkeypatch.delitem(sys.modules, "sumo_env.parallel", raising=False)
+    monkeypatch.setitem(sys.modules, "pettingzoo", None)
+    with pytest.raises(ModuleNotFoundError, match="pip install pettingzoo"):
+        dict(inspect.getmembers(sumo_env))["parallel_env"]("sumo/highway-v0")

@@ -134,7 +134,7 @@ def test_an_episode_that_cannot_go_on_ends_alone() -> None:
         if truncated[1]:
             break
         last = seen[1]
-    assert "driven off the end" in str(warned[-1].message) and "worker_died" not in infos
+    assert "choose a shorter 'duration'" in str(warned[-1].message) and "worker_died" not in infos
     assert (terminated[1], rewards[1], infos["ending"].tolist()) == (False, 0.0, ["", "simulator error"])
     np.testing.assert_array_equal(seen[1], last)
     for _ in range(2):  # its reset, and the next episode's first step

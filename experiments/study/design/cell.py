@@ -232,7 +232,7 @@ def cell_name(key: Mapping[str, Any], version: Mapping[str, Any]) -> str:
 
 
 @cache
-def _installed(package: str) -> str:
+def installed(package: str) -> str:
     """Version of an installed package, without a build tag ("2.13.0+cpu" computes what "2.13.0" does)."""
     try:
         return importlib.metadata.version(package).partition("+")[0]
@@ -250,12 +250,5 @@ def versions(backend: str, runs_on: str, packages: Iterable[str] = ()) -> dict[s
     Raises:
         UserError: a package that the cell needs is not installed.
     """
-    names = (
-        "sumo-risky-driving",
-        SIMULATORS[backend],
-        SIMULATORS[runs_on],
-        "numpy",
-        "torch",
-        *packages,
-    )
-    return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
+    names = ("sumo-risky-driving", SIMULATORS[backend], SIMULATORS[runs_on], "numpy", "torch", *packages)
+    return {"schema": RESULT_SCHEMA, **{name: installed(name) for name in names}}

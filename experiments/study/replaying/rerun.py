@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ from agents import pretrained
 from agents.rules.constant import Constant
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.policies import driver
-from experiments.study.design.cell import tested_on, versions
+from experiments.study.design.cell import RESULT_SCHEMA, installed, tested_on
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
@@ -107,13 +108,16 @@ def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
 
 
 def changed_versions(record: Mapping[str, Any]) -> list[str]:
-    """Versions that differ from those of a stored cell, in words."""
+    """Versions that differ from those of a stored cell, in words; its learner's packages are among them."""
     key = record["key"]
     backend, task, _ = tested_on(key)
-    now = {**versions(key["backend"], backend), "dynamics": dynamics(backend, task)}
+    now: dict[str, Any] = {"schema": RESULT_SCHEMA, "dynamics": dynamics(backend, task)}
+    for package in record["versions"].keys() - now.keys():
+        with suppress(UserError):  # the stored actions may need none of it
+            now[package] = installed(package)
     then = {**key, **(key.get("test_on") or {})}.get("dynamics")
     return [
-        f"{name} {now.get(name)} (was {old})"
+        f"{name} {now.get(name, 'not installed')} (was {old})"
         for name, old in {**record["versions"], "dynamics": then}.items()
         if now.get(name) != old
     ]

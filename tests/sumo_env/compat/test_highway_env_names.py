@@ -274,12 +274,8 @@ def alike(ours: Any, theirs: Any) -> None:
     assert ours.observation_type.space() == theirs.observation_type.space()
     assert ours.action_type.space() == theirs.action_type.space()
     mine, yours = ours.road.network, theirs.road.network
-    assert {a: {b: len(lanes) for b, lanes in ends.items()} for a, ends in mine.graph.items()} == {
-        a: {b: len(lanes) for b, lanes in ends.items()} for a, ends in yours.graph.items()
-    }
-    assert list(mine.lanes_dict()) == list(yours.lanes_dict()) and len(mine.lanes_list()) == len(
-        yours.lanes_list()
-    )
+    lanes = [(a, b, k) for a, ends in mine.graph.items() for b, row in ends.items() for k in range(len(row))]
+    assert lanes == list(mine.lanes_dict()) == list(yours.lanes_dict())
     place, heading = theirs.vehicle.position, theirs.vehicle.heading
     for a, b in zip(mine.lanes_list(), yours.lanes_list(), strict=True):
         same_kind(a, b)
@@ -309,9 +305,10 @@ def alike(ours: Any, theirs: Any) -> None:
         assert own.target_speed == pytest.approx(vehicle.target_speed)
         assert own.lane_offset == pytest.approx(vehicle.lane_offset, abs=1e-6)
         assert own.to_dict(ours.vehicle) == pytest.approx(vehicle.to_dict(theirs.vehicle), abs=1e-5)
-        assert own.lane_distance_to(ours.vehicle) == pytest.approx(
-            vehicle.lane_distance_to(theirs.vehicle), abs=1e-6
-        )
+        for a, b in ((None, None), (ours.vehicle.lane, theirs.vehicle.lane)):
+            distance = vehicle.lane_distance_to(theirs.vehicle, b)
+            assert own.lane_distance_to(ours.vehicle, a) == pytest.approx(distance, abs=1e-6)
+        assert mine.side_lanes(own.lane_index) == yours.side_lanes(vehicle.lane_index)
         for index in yours.all_side_lanes(vehicle.lane_index):
             expected = [pairs[id(each)] for each in theirs.road.neighbour_vehicles(vehicle, index)]
             assert list(ours.road.neighbour_vehicles(own, index)) == expected

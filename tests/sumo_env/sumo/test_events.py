@@ -115,6 +115,7 @@ class Tailgating(EventKind):
     given_back: ClassVar[list[str]] = []
 
     def pauses(self, at: Moment) -> bool:
+        assert at.near(0.0).keys() < at.look().keys()  # the ego is far behind
         _, gap = at.sumo.getLeader(at.vehicle.name)
         return bool(gap > at.event.way)
 

@@ -19,6 +19,7 @@ from sumo_env.traffic.risk import CUT_IN_GAP
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
+LEAST_COVERED = 0.01  # [m] of a step; a car that covers less may stand by itself
 REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reproduced at any step length
 
 
@@ -40,6 +41,7 @@ class Ego:
         self._lane, self._stretch = "", 1.0  # of SUMO
         self._way = network.sumo_route(spec.lane, spec.destination)  # of SUMO
         self._acceleration: float | None = None
+        self._covered = 0.0  # [m] that it is to cover in this step
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO what is not commanded."""
@@ -70,15 +72,20 @@ class Ego:
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         if self.vehicle.has_speed:
             self.vehicle.drive(distance / session.step_length * self._stretch)
+        self._covered = distance
         if not self.vehicle.crashed:
             self._change_lane(lane)
         return distance
 
     def settle(self, dt: float) -> float:
-        """After a step in which SUMO has chosen the speed; returns the distance that was covered [m]."""
+        """After a step: what SUMO has made of it; returns the distance beyond what `drive` has said [m]."""
+        speed = self._session.vehicle.getSpeed(self._name)
         if self.vehicle.has_speed:
-            return 0.0
-        self.speed = self._session.vehicle.getSpeed(self._name) / self._stretch
+            if speed > 0.0 or self._covered < LEAST_COVERED:
+                return 0.0
+            self.speed = 0.0  # SUMO has stopped it: its lane ends, and it does not change to another one
+            return -self._covered
+        self.speed = speed / self._stretch
         return self.speed * self._session.step_length
 
     def _change_lane(self, lane: str) -> None:

@@ -21,7 +21,9 @@ from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import Road
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
+from sumo_env.tasks.merge import Merge
 from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import drive, observations
 from tests.sumo_env.scenarios import draw, with_leader
@@ -80,6 +82,31 @@ def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made
     (*_, info) = list(drive(env, 2))[-1]
     assert info["crash"]["other"] == "obstacle:0" and env.scene.x[1] == 60.0
     assert info["crash"]["x"] == pytest.approx(56.5, abs=2.0)
+    env.close()
+
+
+class Ending(Merge):
+    """The ego begins on the merge's third lane, 40 m before its end, where nothing stands."""
+
+    name = "ending"
+
+    def road(self, config: Any) -> Road:
+        shipped = super().road(config)
+        net_file = str(network(shipped).net_file)
+        return replace(shipped, name=self.name, obstacles=(), net_file=net_file)
+
+    def ego(self, config: Any, road: Any, rng: Any) -> Any:
+        return make_on_lane(road, "ego", ("b", "c", 2), 40.0, 20.0, ego_driver(self))
+
+    def vehicles(self, *arguments: Any) -> list[Any]:
+        return []
+
+
+def test_an_ego_at_the_end_of_its_lane_stands() -> None:
+    env = DrivingEnv(Ending(), {"duration": 6})
+    *_, (*_, last) = drive(env, seed=0)
+    assert (last["speed"], last["distance"], last["ending"]) == (0.0, 0.0, "time")
+    assert env.ego_state.s == pytest.approx(80.0, abs=3.0)
     env.close()
 
 

@@ -155,6 +155,8 @@ def test_a_task_is_registered_and_driven() -> None:
     envs = gym.make_vec("test/slalom-v0", num_envs=2, config={"gap": 80.0})
     assert envs.reset(seed=0)[0].shape == (2, 5, 5)
     del gym.registry["test/slalom-v0"]
+    with pytest.raises(ConfigError, match="maxSpeed, accel of 'v0'"):
+        ReplicaEnv(Slalom(), scenarios="seeded").reset(seed=0)
 
 
 def test_lorries_of_their_own_size(tmp_path: Path) -> None:

@@ -106,6 +106,7 @@ FLEETS: list[tuple[dict[str, Any], str]] = [
     ({"vehicles": "ego"}, "list of names"),
     ({"vehicles": ["ego", "ego"]}, "different"),
     ({"vehicle_type": "mix", "max_cars": 2, "additional": "mix.add.xml"}, "distribution"),
+    *(({"vehicle_type": "ego", "max_cars": most}, "'max_cars' must be a whole") for most in (0, "2")),
     ({"vehicle_type": "quikc", "max_cars": 2, "additional": "mix.add.xml"}, "quick"),
 ]
 

@@ -52,6 +52,12 @@ def test_rates_are_two_in_each_decade_or_those_that_are_named() -> None:
     assert rare.rates_of("0.5,0.1") == (0.1, 0.5)
 
 
+@pytest.mark.parametrize("name", ["seed", "workers", "reach", "dose"])
+def test_a_number_out_of_range_is_refused(name: str) -> None:
+    with pytest.raises(UserError, match=f"--{name} is .*, not -1"):
+        rare.question(replace(OPTIONS, **{name: -1}))
+
+
 @pytest.mark.slow
 def test_break_even_drives_all_published_agents_of_both_arms(tmp_path: Path, monkeypatch, capsys) -> None:
     about = agents.card("u-turn-3", "control")

@@ -121,7 +121,7 @@ class Batch:
         """Whether its episodes are there; those of a damaged file are driven again."""
         try:
             pd.read_parquet(self.file)
-        except (OSError, ValueError):
+        except Exception:  # pyarrow stumbles over damage in many ways
             return False
         return True
 

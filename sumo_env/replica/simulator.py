@@ -229,10 +229,7 @@ class Replica:
         specs = scenario.everybody
         for spec in specs:
             if spec.driver.attributes and not is_obstacle(spec.id):
-                names = ", ".join(name for name, _ in spec.driver.attributes)
-                raise ConfigError(
-                    f"the replica has no attributes of SUMO's vehicle types ({names} of {spec.id!r}): SUMO has"
-                )
+                raise ConfigError(f"the replica has no attributes of SUMO's vehicle types as {spec.id!r} has")
         numbers = {spec.id: number for number, spec in enumerate(specs)}
         self._ids, everybody = list(numbers), tables.cars_of(scenario.road, specs)
         for name in scenario.further:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -54,8 +55,9 @@ def test_rates_are_two_in_each_decade_or_those_that_are_named() -> None:
 
 @pytest.mark.parametrize("name", ["seed", "workers", "reach", "dose"])
 def test_a_number_out_of_range_is_refused(name: str) -> None:
+    wrong: Any = {name: -1}
     with pytest.raises(UserError, match=f"--{name} is .*, not -1"):
-        rare.question(replace(OPTIONS, **{name: -1}))
+        rare.question(replace(OPTIONS, **wrong))
 
 
 @pytest.mark.slow

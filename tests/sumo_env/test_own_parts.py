@@ -21,9 +21,8 @@ from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import Road
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.base import ego_driver, make_on_lane
+from sumo_env.tasks.base import make_on_lane
 from sumo_env.tasks.highway import Highway
-from sumo_env.tasks.merge import Merge
 from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import drive, observations
 from tests.sumo_env.scenarios import draw, with_leader
@@ -85,27 +84,13 @@ def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made
     env.close()
 
 
-class Ending(Merge):
-    """The ego begins on the merge's third lane, 40 m before its end, where nothing stands."""
-
-    name = "ending"
-
-    def road(self, config: Any) -> Road:
-        shipped = super().road(config)
-        net_file = str(network(shipped).net_file)
-        return replace(shipped, name=self.name, obstacles=(), net_file=net_file)
-
-    def ego(self, config: Any, road: Any, rng: Any) -> Any:
-        return make_on_lane(road, "ego", ("b", "c", 2), 40.0, 20.0, ego_driver(self))
-
-    def vehicles(self, *arguments: Any) -> list[Any]:
-        return []
-
-
 def test_an_ego_at_the_end_of_its_lane_stands() -> None:
-    env = DrivingEnv(Ending(), {"duration": 6})
-    *_, (*_, last) = drive(env, seed=0)
-    assert (last["speed"], last["distance"], last["ending"]) == (0.0, 0.0, "time")
+    scenario = draw("merge")  # without the obstacle at the end of the third lane
+    ego = make_on_lane(scenario.road, "ego", ("b", "c", 2), 40.0, 20.0, scenario.ego.driver)
+    env = DrivingEnv("merge", {"duration": 6})
+    env.reset(options={"scenario": replace(scenario, ego=ego, vehicles=(), events=())})
+    *_, (*_, info) = drive(env)
+    assert (info["speed"], info["distance"], info["ending"]) == (0.0, 0.0, "time")
     assert env.ego_state.s == pytest.approx(80.0, abs=3.0)
     env.close()
 
@@ -155,7 +140,7 @@ def test_a_task_is_registered_and_driven() -> None:
     envs = gym.make_vec("test/slalom-v0", num_envs=2, config={"gap": 80.0})
     assert envs.reset(seed=0)[0].shape == (2, 5, 5)
     del gym.registry["test/slalom-v0"]
-    with pytest.raises(ConfigError, match="maxSpeed, accel of 'v0'"):
+    with pytest.raises(ConfigError, match="as 'v0' has"):
         ReplicaEnv(Slalom(), scenarios="seeded").reset(seed=0)
 
 

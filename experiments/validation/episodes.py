@@ -231,9 +231,8 @@ class Part:
     def _row(self, env: Any, scenario: int, ego: str) -> dict[str, Any]:
         inner, scenes = env.unwrapped, []
         drive = Drive(self.task, self.level, self.traffic, scenario)
-        risky = (
-            AT_A_DOSE[self.traffic] > 0.0
-        )  # at risk 0 there is nothing that its rates and ranges could change
+        # at risk 0 there is nothing that its rates and ranges could change
+        risky = AT_A_DOSE[self.traffic] > 0.0
         options = {
             name: own for name, own in self.engine.options.items() if risky or not name.startswith("risk_")
         }

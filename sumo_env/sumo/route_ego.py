@@ -36,13 +36,7 @@ class RouteEgo:
         red_light: whether it has run a red light since `obey`.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        network: Network,
-        vehicle: Vehicle,
-        scenario: Scenario,
-    ) -> None:
+    def __init__(self, session: Session, network: Network, vehicle: Vehicle, scenario: Scenario) -> None:
         assert scenario.traffic is not None
         name = vehicle.name
         self._session, self._network, self._name, self.vehicle = session, network, name, vehicle

@@ -37,9 +37,8 @@ def test_what_the_simulation_relies_on_is_there(plan):
     root = ElementTree.parse(build.HERE / f"{plan.name}.net.xml").getroot()
     lanes, ways = (list(root.iter(tag)) for tag in ("lane", "connection"))
     ways = [way for way in ways if not way.get("from").startswith(":")]
-    limits = {
-        round(lane.speed_limit, 4) for lane in plan.road.lanes.values()
-    }  # highway-env's, see test_roads.py
+    # highway-env's, see test_roads.py
+    limits = {round(lane.speed_limit, 4) for lane in plan.road.lanes.values()}
     assert {float(lane.get("speed")) for lane in lanes} == limits  # in bends as well
     # otherwise SUMO's drivers slow down before minor connections until they are 4.5 m from them, in order to see
     assert [float(way.get("visibility")) for way in ways] == [200.0] * len(plan.connections)

@@ -250,12 +250,5 @@ def versions(backend: str, runs_on: str, packages: Iterable[str] = ()) -> dict[s
     Raises:
         UserError: a package that the cell needs is not installed.
     """
-    names = (
-        "sumo-risky-driving",
-        SIMULATORS[backend],
-        SIMULATORS[runs_on],
-        "numpy",
-        "torch",
-        *packages,
-    )
+    names = ("sumo-risky-driving", SIMULATORS[backend], SIMULATORS[runs_on], "numpy", "torch", *packages)
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}

@@ -20,9 +20,8 @@ pytestmark = pytest.mark.slow
 def test_jobs_of_submitit_are_retried_or_fail_at_their_time_limit(tmp_path, monkeypatch):
     """submitit's processes on this machine: its scripts, messages and logs are those of Slurm."""
     core = pytest.importorskip("submitit.core.core")
-    monkeypatch.setattr(
-        core.Job, "_results_timeout_s", 1
-    )  # [s], no 15, until a killed job's result is given up
+    # [s], no 15, until a killed job's result is given up
+    monkeypatch.setattr(core.Job, "_results_timeout_s", 1)
     from experiments.study.compute.executors.slurm import SlurmExecutor
 
     dies, slow = (

@@ -99,9 +99,8 @@ def test_on_a_network_they_are_sumo_s_beyond_junctions_too(tmp_path: Path, hand:
             lane, ahead, faster, back, closing = observation[1 + 5 * side : 6 + 5 * side]
             assert lane == exists and (ahead, back) == pytest.approx(gaps, abs=0.2)
             assert (faster, closing) == pytest.approx(speeds, abs=1e-4)
-            table = on_its_way(
-                scene
-            )  # the same as columns of Kinematics, without the follower in the own lane
+            # the same as columns of Kinematics, without the follower in the own lane
+            table = on_its_way(scene)
             for behind, name in enumerate(("leader", "follower")[: 1 + (side != 1)]):
                 column = f"{('left_', '', 'right_')[side]}{name}"
                 gap, nearer = exists * max(gaps[behind], 0.0), speeds[behind] if behind else -speeds[behind]

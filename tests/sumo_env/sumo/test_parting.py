@@ -19,6 +19,7 @@ from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.plans import SUMO_DRIVES, build, needs_sumo, route_file
 from tests.sumo_env.rollout import drive
 
+pytestmark = needs_sumo
 LEFT, IDLE, RIGHT = range(3)
 FAR = 200.0  # [m] from where the lanes part to the ends of the roads
 NEAR = 40.0  # [m] from where the ego begins at most to there
@@ -94,7 +95,6 @@ class Parting(UTurn):
         return []
 
 
-@needs_sumo
 @pytest.mark.parametrize("seed", range(4))
 def test_no_change_of_lanes_breaks_sumo_down_where_lanes_part(tmp_path: Path, seed: int) -> None:
     """The ego begins one anywhere, at any speed, and ends on the road that its lane leads to; nothing holds it up.
@@ -118,7 +118,6 @@ def test_no_change_of_lanes_breaks_sumo_down_where_lanes_part(tmp_path: Path, se
     assert ends == {"c", "k"}
 
 
-@needs_sumo
 @pytest.mark.parametrize("seed", [0, 2])
 def test_nor_does_one_in_a_scenario_whose_lane_changes_take_their_time(tmp_path: Path, seed: int) -> None:
     rng, endings = np.random.default_rng(seed), set()
@@ -137,7 +136,6 @@ def test_nor_does_one_in_a_scenario_whose_lane_changes_take_their_time(tmp_path:
     assert endings == {"", "missed turn"}
 
 
-@needs_sumo
 def test_nor_does_a_cut_in(tmp_path: Path) -> None:
     net = build(tmp_path, plan(np.random.default_rng(2), 80.0), "--default.lanewidth=4")
     stop = '<stop lane="b-c_0" endPos="190" duration="900"/>'

@@ -208,7 +208,6 @@ def _configuration(inputs: Mapping[str, str], replayed: str, step: float, scenes
             "collision.check-junctions": "true",
             "collision.mingap-factor": "0",
             "time-to-teleport": "-1",
-            "lanechange.duration": "0.8",
             "default.speeddev": "0",
         },
         "fcd_replay": {"device.fcd-replay.file": replayed},

@@ -90,8 +90,6 @@ def test_an_export_shows_the_episode(town: Path, tmp_path: Path) -> None:
             one.step(1)
         one.export(tmp_path / str(number))
         recorded = floating_car_data(tmp_path / str(number) / "recorded.fcd.xml")
-        # with a duration, SUMO would break down where a vehicle changes lanes within a junction
-        assert "lanechange" not in (tmp_path / str(number) / "episode.sumocfg").read_text()
         cars = recorded[max(recorded)]
         assert cars.keys() == set(one.scene.ids)
         for name, front in fronts(one.scene).items():

@@ -87,12 +87,11 @@ def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made
 def test_an_ego_at_the_end_of_its_lane_stands() -> None:
     scenario = draw("merge")  # without the obstacle at the end of the third lane
     ego = make_on_lane(scenario.road, "ego", ("b", "c", 2), 40.0, 20.0, scenario.ego.driver)
-    env = DrivingEnv("merge", {"duration": 6})
-    env.reset(options={"scenario": replace(scenario, ego=ego, vehicles=(), events=())})
-    *_, (*_, info) = drive(env)
-    assert (info["speed"], info["distance"], info["ending"]) == (0.0, 0.0, "time")
-    assert env.ego_state.s == pytest.approx(80.0, abs=3.0)
-    env.close()
+    with closing(DrivingEnv("merge", {"duration": 6})) as env:
+        env.reset(options={"scenario": replace(scenario, ego=ego, vehicles=(), events=())})
+        *_, (*_, info) = drive(env)
+        assert (info["speed"], info["distance"], info["ending"]) == (0.0, 0.0, "time")
+        assert env.ego_state.s == pytest.approx(80.0, abs=3.0)
 
 
 # -- tasks and drivers -------------------------------------------------------------------------------------

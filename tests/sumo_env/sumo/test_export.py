@@ -29,8 +29,7 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
 
 def driven(env: Any, action: int) -> DrivingEnv:
     """The environment at the end of an episode."""
-    for _ in drive(env, action, seed=1):
-        pass
+    list(drive(env, action, seed=1))
     return env.unwrapped
 
 

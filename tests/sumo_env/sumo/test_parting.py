@@ -149,5 +149,4 @@ def test_nor_does_a_cut_in(tmp_path: Path) -> None:
     with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, simulator=worker)) as env:
         for seed in range(8):
             env.reset(seed=seed, options={"risk_rates": {"cut_in": 1.0}})
-            for _ in drive(env, 0):
-                pass
+            list(drive(env, 0))

@@ -95,7 +95,7 @@ class Options(Driving):
     seed: int = 0
     """Of all scenarios."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/rare")
-    """Directory for the results."""
+    """Directory for the results, whose curve is written anew."""
 
 
 def rates_of(text: str) -> tuple[float, ...]:
@@ -120,13 +120,14 @@ def question(options: Options) -> Question:
     level = options.level or next(iter(levels))
     check_known("level", [level], levels)
     check_known("executor", [options.executor], EXECUTORS)
-    for name, is_right in (
-        ("dose", 0.001 <= options.dose <= 1.0),
-        ("reach", options.reach > 0.0),
-        ("episodes", options.episodes > 0),
+    for name, is_right, least in (
+        ("dose", 0.001 <= options.dose <= 1.0, "between 0.001 and 1"),
+        ("reach", options.reach > 0.0, "above 0"),
+        ("episodes", options.episodes > 0, "above 0"),
+        ("seed", options.seed >= 0, "at least 0"),
+        ("workers", options.workers is None or options.workers > 0, "above 0"),
     ):
         if not is_right:
-            least = "between 0.001 and 1" if name == "dose" else "above 0"
             raise UserError(f"--{name} is {least}, not {getattr(options, name)}")
     is_file = options.policy.endswith(".zip") or ":" in options.policy
     with in_words((ValueError, DamagedFile)):

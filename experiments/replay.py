@@ -76,7 +76,7 @@ def parse_case(text: str, code: str | None = None) -> Case:
     Raises:
         UserError: not of that form, or there is no such cell or scenario.
     """
-    match = re.fullmatch(r"(?P<path>.+?)(:(?P<traffic>[a-z0-9-]+):(?P<scenario>\d+))?/?", text)
+    match = re.fullmatch(r"(?P<path>(.*/)?[^:/]+)(:(?P<traffic>[a-z0-9-]+):(?P<scenario>\d+))?/?", text)
     if match is None:
         raise UserError(f"a case is DIR/cells/CELL[:TRAFFIC:SCENARIO], not {text!r}")
     path = Path(match["path"]).absolute()

@@ -123,9 +123,10 @@ def own_values(name: str, of: Callable[[pd.DataFrame], Any], episodes: pd.DataFr
 
 
 def answer(directory: Path) -> str:
-    """The answer of a report that was written: its Markdown down to the table of tasks, as plain text."""
+    """The answer of a report that was written: its Markdown down to the first table, as plain text."""
     text = (directory / TEXT).read_text()
-    return text.partition("\n|")[0].partition("\n\n")[2].replace("**", "").strip()
+    words = text.partition("\n|")[0].partition("\n**Outcomes of your own")[0]
+    return words.partition("\n\n")[2].replace("**", "").strip()
 
 
 def print_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | None = None) -> None:

@@ -133,6 +133,7 @@ def page(record: Mapping[str, Any]) -> str:
     parts = [
         f"<h2>{title}</h2><div class=scroll>{table.to_html(na_rep='', float_format='{:.3g}'.format)}</div>"
         for title, table in tables(record).items()
+        if len(table)
     ]
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>SUMO against highway-env</title>"
@@ -148,7 +149,8 @@ def main(options: Options) -> int:
     with writing(options.out):
         record = validate(options, sys.argv[1:])
     for title in (COUNTS, MISSED):
-        print(f"{title}\n{tables(record)[title].to_string()}\n")
+        table = tables(record)[title]
+        print(f"{title}\n{table.to_string() if len(table) else 'nothing'}\n")
     print(f"every check: {options.out / 'validation.html'}")
     return 0 if all(found["passed"] is not False for found in record["tasks"].values()) else 1
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import gymnasium as gym
 import numpy as np
 
-from sumo_env.config import ConfigError, one_of
+from sumo_env.config import MOST_VEHICLES, ConfigError, one_of, whole_number
 from sumo_env.env.cars import REPLICA, Cars, asked
 from sumo_env.env.driving import DrivingEnv, Seen
 from sumo_env.networks import files
@@ -205,8 +205,10 @@ def parallel_env(
         parts = ("routes", "additional", "vehicles", "vehicle_type", "max_cars")
         of_files = {name: keywords.pop(name) for name in parts if name in keywords}
         ids, kind, most = (of_files.get(name) for name in parts[2:])
-        if bool(ids) == bool(kind) or bool(kind) != bool(most):
+        if bool(ids) == bool(kind) or bool(kind) != (most is not None):
             raise ConfigError("name learning cars by vehicles=[ids], or by vehicle_type= with max_cars=")
+        if kind:
+            of_files["max_cars"] = whole_number("'max_cars'", most, MOST_VEHICLES)
         fleet = NetworkTask(env, **of_files)
         if "controlled_vehicles" in (config or {}):
             raise ConfigError("on a network of your own 'max_cars' says how many learning cars there are")

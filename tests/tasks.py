@@ -8,9 +8,8 @@ from experiments.study.design.sheet import GRID
 from sumo_env.tasks import TASKS
 
 PUBLISHED = tuple(GRID)
-OF_HIGHWAY_ENV = tuple(
-    name for name, task in TASKS.items() if task.reference
-)  # the replica has its own draws of them
+# The replica has its own draws of them.
+OF_HIGHWAY_ENV = tuple(name for name, task in TASKS.items() if task.reference)
 every_task = pytest.mark.parametrize("task", tuple(TASKS))
 highway_env_task = pytest.mark.parametrize("task", OF_HIGHWAY_ENV)
 published_task = pytest.mark.parametrize("task", PUBLISHED)

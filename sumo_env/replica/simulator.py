@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.config import one_of
+from sumo_env.config import ConfigError, one_of
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import separation, state_of
@@ -227,6 +227,9 @@ class Replica:
         """All vehicles of a scenario as their lives start, those that come later as well, and its risk events."""
         self._scenario = scenario
         specs = scenario.everybody
+        for spec in specs:
+            if spec.driver.attributes and not is_obstacle(spec.id):
+                raise ConfigError(f"the replica has no attributes of SUMO's vehicle types as {spec.id!r} has")
         numbers = {spec.id: number for number, spec in enumerate(specs)}
         self._ids, everybody = list(numbers), tables.cars_of(scenario.road, specs)
         for name in scenario.further:

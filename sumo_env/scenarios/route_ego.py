@@ -36,13 +36,7 @@ class RouteEgo:
         red_light: whether it has run a red light since `obey`.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        network: Network,
-        vehicle: Vehicle,
-        scenario: Scenario,
-    ) -> None:
+    def __init__(self, session: Session, network: Network, vehicle: Vehicle, scenario: Scenario) -> None:
         assert scenario.traffic is not None
         name = vehicle.name
         self._session, self._network, self._name, self.vehicle = session, network, name, vehicle
@@ -88,7 +82,7 @@ class RouteEgo:
         """Whether SUMO alone drives it, among traffic without risk: then what it calls no collision is none."""
         return self._is_regular and not (self.vehicle.has_speed or self.vehicle.has_lanes)
 
-    def drive(self, here: State, dt: float) -> float:
+    def drive(self, here: State, dt: float) -> None:
         """Command the next step of `dt` [s]; `settle` says how far it gets."""
         session, name, before = self._session, self._name, self.speed
         self._position = session.vehicle.getLanePosition(name)
@@ -108,7 +102,6 @@ class RouteEgo:
             self.vehicle.drive(speed)
         if not self.vehicle.crashed:
             self._change_lane()
-        return 0.0
 
     def _change_lane(self) -> None:
         """Ask for the target lane; SUMO changes there within the step, or in the time that its options say."""

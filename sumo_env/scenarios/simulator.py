@@ -112,7 +112,7 @@ class FileSimulator(SumoSimulator):
         return name == self._name or name in self._scenario.further
 
     def _why_not_here(self) -> str:
-        cars = self._traffic.car_type or (self._name, *self._scenario.further)
+        cars = self._traffic.car_type or ", ".join((self._name, *self._scenario.further))
         why = "it departs later ('wait', 'begin'), SUMO has left it out ('scale'), or there is none"
         if self._name in self._session.simulation.getPendingVehicles():
             kind = self._session.vehicle.getVehicleClass(self._name)

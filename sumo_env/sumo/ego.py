@@ -19,6 +19,7 @@ from sumo_env.traffic.risk import CUT_IN_GAP
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
+LEAST_COVERED = 0.01  # [m] of a step; a car that covers less may stand by itself
 REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reproduced at any step length
 
 
@@ -40,6 +41,7 @@ class Ego:
         self._lane, self._stretch = "", 1.0  # of SUMO
         self._way = network.sumo_route(spec.lane, spec.destination)  # of SUMO
         self._acceleration: float | None = None
+        self._covered = 0.0  # [m] in this step, as commanded
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO what is not commanded."""
@@ -48,19 +50,14 @@ class Ego:
         self.target_speed = self.speed if speed is None else speed
         self.target_lane = self.target_lane if lane is None else lane
 
-    def drive(self, here: State, dt: float) -> float:
-        """Command the next `dt` [s]; returns the distance that will be covered [m].
-
-        Where SUMO drives, `settle` returns the distance.
-        """
+    def drive(self, here: State, dt: float) -> None:
+        """Command the next `dt` [s]; `settle` says how far it gets."""
         session = self._session
         self.target_lane = self._road.follow(self.target_lane, self._route, *here[:2])
         if self.vehicle.crashed:
-            self.speed, distance = coast(self.speed, dt)
-        elif not self.vehicle.has_speed:
-            distance = 0.0
-        else:
-            self.speed, distance = driven(self.speed, self.target_speed, self._acceleration, dt)
+            self.speed, self._covered = coast(self.speed, dt)
+        elif self.vehicle.has_speed:
+            self.speed, self._covered = driven(self.speed, self.target_speed, self._acceleration, dt)
         lane = session.vehicle.getLaneID(self._name)
         if lane != self._lane:
             self._lane, self._stretch = lane, self._network.stretch(lane)
@@ -69,17 +66,19 @@ class Ego:
                 session.vehicle.setRouteID(self._name, way)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         if self.vehicle.has_speed:
-            self.vehicle.drive(distance / session.step_length * self._stretch)
+            self.vehicle.drive(self._covered / session.step_length * self._stretch)
         if not self.vehicle.crashed:
             self._change_lane(lane)
-        return distance
 
     def settle(self, dt: float) -> float:
-        """After a step in which SUMO has chosen the speed; returns the distance that was covered [m]."""
-        if self.vehicle.has_speed:
-            return 0.0
-        self.speed = self._session.vehicle.getSpeed(self._name) / self._stretch
-        return self.speed * self._session.step_length
+        """After the step: what SUMO has made of it; returns the distance that was covered [m]."""
+        speed = self._session.vehicle.getSpeed(self._name)
+        if not self.vehicle.has_speed:
+            self.speed = speed / self._stretch
+            return self.speed * self._session.step_length
+        if speed == 0.0 and self._covered > LEAST_COVERED:  # SUMO has stopped it: its lane ends
+            self.speed = self._covered = 0.0
+        return self._covered
 
     def _change_lane(self, lane: str) -> None:
         """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""

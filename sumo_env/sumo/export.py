@@ -55,7 +55,7 @@ def write(
         specs = {spec.id: spec for spec in scenario.everybody}
         ways = _floating_car_data(road, specs, scenes, step)
     else:
-        ways = _of_sumo(recorded, scenes, step)
+        ways = _of_sumo(road, recorded, scenes, step)
     sizes = {size for scene in scenes for size in scene.sizes.values()}
     types = ElementTree.Element("additional")
     types.extend(
@@ -119,9 +119,17 @@ def _floating_car_data(
     return root
 
 
-def _of_sumo(recorded: Path, scenes: Sequence[Scene], step: float) -> ElementTree.Element:
+def _of_sumo(road: Network, recorded: Path, scenes: Sequence[Scene], step: float) -> ElementTree.Element:
     """The vehicles of the scenes as SUMO has recorded them."""
     timesteps = ElementTree.parse(recorded).getroot().findall("timestep")[-len(scenes) :]
+    cars = [car for timestep in timesteps for car in timestep.iter("vehicle")]
+    on_edges = {car.get("id") for car in cars if not car.get("lane", "").startswith(":")}
+    for car in cars:
+        if car.get("id") not in on_edges:  # SUMO needs an edge, and crashes without one
+            lane = road.sumo_lanes[car.get("lane", "")]
+            while lane.id.startswith(":") and lane.preceding:
+                lane = road.sumo_lanes[lane.preceding[0]]
+            car.attrib.update(lane=lane.id, pos=f"{lane.length:.2f}")
     shown = _colours(scenes)
     root = ElementTree.Element("fcd-export")
     for number, (timestep, scene) in enumerate(zip(timesteps, scenes, strict=True)):
@@ -208,7 +216,6 @@ def _configuration(inputs: Mapping[str, str], replayed: str, step: float, scenes
             "collision.check-junctions": "true",
             "collision.mingap-factor": "0",
             "time-to-teleport": "-1",
-            "lanechange.duration": "0.8",
             "default.speeddev": "0",
         },
         "fcd_replay": {"device.fcd-replay.file": replayed},

@@ -12,11 +12,7 @@ from sumo_env.sumo.user_options import OUTPUT_DIR
 from sumo_env.traffic.scenario import Scenario
 
 # What the environment cannot do without: contacts are reported at every step and at junctions, and change nothing.
-COLLISIONS = {
-    "collision.action": "warn",
-    "collision.check-junctions": "true",
-    "collision.mingap-factor": "0",
-}
+COLLISIONS = {"collision.action": "warn", "collision.check-junctions": "true", "collision.mingap-factor": "0"}
 SILENT = {"no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true"}
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
 LANE_CHANGE_DURATION = 0.8

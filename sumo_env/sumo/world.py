@@ -227,7 +227,7 @@ class SumoSimulator:
                 break
             self._events.act(self._time, self._dt)
             for car in driving:
-                car.distance += car.ego.drive(car.around.ego, self._dt)
+                car.ego.drive(car.around.ego, self._dt)
             reported = self._advance()
             for car in driving:
                 if car.name in self._cars and car.ego.ended not in GONE:

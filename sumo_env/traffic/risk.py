@@ -63,11 +63,11 @@ class EventKind:
 
     def command(self, at: Any) -> None:
         """Command the vehicle for the next sub-step."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{self} has no method command(at)")
 
     def give_back(self, at: Any) -> None:
         """Give SUMO what `command` has taken: when the event pauses or ends, or another one takes its place."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{self} has no method give_back(at)")
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,7 @@ def test_a_curve_is_written_and_the_command_goes_on_where_it_was_stopped(tmp_pat
     assert found["curve"][1]["events_per_hour"] == pytest.approx(1080.0)  # the u-turn's 0.3 events a second
     assert pd.read_csv(tmp_path / "curve.csv")["claim"].tolist() == [row["claim"] for row in found["curve"]]
     assert "<svg" in (tmp_path / "curve.svg").read_text() and "Crashes without an event" in said
-    next(iter(files)).unlink()
+    next(iter(files)).write_bytes(b"damaged")
     assert rare.rare(options, ["slower"]) == 0
     assert read_json(tmp_path / "curve.json")["curve"] == found["curve"]
     again = {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
@@ -50,6 +50,12 @@ def test_a_curve_is_written_and_the_command_goes_on_where_it_was_stopped(tmp_pat
 def test_rates_are_two_in_each_decade_or_those_that_are_named() -> None:
     assert rare.rates_of("1e-2:1") == (0.01, 0.0316, 0.1, 0.316, 1.0)
     assert rare.rates_of("0.5,0.1") == (0.1, 0.5)
+
+
+@pytest.mark.parametrize("wrong", [{"seed": -1}, {"workers": 0}, {"dose": 2.0}], ids=str)
+def test_a_number_out_of_range_is_refused(wrong) -> None:
+    with pytest.raises(UserError, match=f"--{min(wrong)} is "):
+        rare.question(replace(OPTIONS, **wrong))
 
 
 @pytest.mark.slow

@@ -92,6 +92,8 @@ def test_a_further_test_is_replayed_on_its_own_simulator_and_in_its_own_traffic(
         assert "reproduced" in capsys.readouterr().out
     with pytest.raises(UserError, match="unknown traffic 'risky': known are dose25, dose50, dose75"):
         parse_case(f"{tmp_path / 'cells' / doses.name}:risky:1")
+    with pytest.raises(UserError, match="a case is DIR/cells"):
+        parse_case(f"{tmp_path / 'cells' / doses.name}:dose75")
 
 
 def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):

@@ -261,6 +261,7 @@ def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
     assert "waiting" in set(after.means["outcome"]) and "waiting" in after.policies
     again = analyse(load(tmp_path))
     pd.testing.assert_frame_equal(again.effects, before.effects)
+    assert "own" not in report.answer(tmp_path)  # a heading without its table
     for page in (report.REPORT, report.TEXT):
         assert "Time at a standstill share" in (tmp_path / page).read_text()
 

@@ -21,6 +21,7 @@ from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import Road
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import make_on_lane
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import drive, observations
@@ -83,6 +84,16 @@ def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made
     env.close()
 
 
+def test_an_ego_at_the_end_of_its_lane_stands() -> None:
+    scenario = draw("merge")  # without the obstacle at the end of the third lane
+    ego = make_on_lane(scenario.road, "ego", ("b", "c", 2), 40.0, 20.0, scenario.ego.driver)
+    with closing(DrivingEnv("merge", {"duration": 6})) as env:
+        env.reset(options={"scenario": replace(scenario, ego=ego, vehicles=(), events=())})
+        *_, (*_, info) = drive(env)
+        assert (info["speed"], info["distance"], info["ending"]) == (0.0, 0.0, "time")
+        assert env.ego_state.s == pytest.approx(80.0, abs=3.0)
+
+
 # -- tasks and drivers -------------------------------------------------------------------------------------
 
 
@@ -128,6 +139,8 @@ def test_a_task_is_registered_and_driven() -> None:
     envs = gym.make_vec("test/slalom-v0", num_envs=2, config={"gap": 80.0})
     assert envs.reset(seed=0)[0].shape == (2, 5, 5)
     del gym.registry["test/slalom-v0"]
+    with pytest.raises(ConfigError, match="as 'v0' has"):
+        ReplicaEnv(Slalom(), scenarios="seeded").reset(seed=0)
 
 
 def test_lorries_of_their_own_size(tmp_path: Path) -> None:

@@ -118,8 +118,12 @@ class Batch:
         return self.directory / "episodes" / f"{self.name}.parquet"
 
     def done(self) -> bool:
-        """Whether its episodes are there."""
-        return self.file.exists()
+        """Whether its episodes are there; those of a damaged file are driven again."""
+        try:
+            pd.read_parquet(self.file)
+        except Exception:  # pyarrow stumbles over damage in many ways
+            return False
+        return True
 
     def compute(self, heartbeat: Heartbeat) -> None:
         """Drive and store them."""

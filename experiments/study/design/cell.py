@@ -173,7 +173,7 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any
         if source is None:
             raise UserError(
                 f"{name} is code of somebody's own, which a stored cell alone never runs: read the file, then name it "
-                "(--code FILE:NAME)"
+                "(replay.py has --code FILE:NAME; evaluate.py takes FILE:MAKE, which may load the weights)"
             )
         return source
 

@@ -147,7 +147,7 @@ def test_an_episode_without_a_crash_lasts_its_steps_by_the_policy_frequency() ->
     configs = {"slow": {"duration": 20}, "fast": {"duration": 10, "policy_frequency": 2}}
     cells = {name: {"key": {"task": "u-turn", "env_config": config}} for name, config in configs.items()}
     results: Any = SimpleNamespace(episodes=episodes, cells=cells)
-    found = with_outcomes(results)
+    found = with_outcomes(results, {})
     assert found[["crash_free_time", "seconds", "progress"]].values.tolist() == [
         [20.0, 20.0, 5.0],
         [10.0, 10.0, 10.0],

@@ -23,9 +23,8 @@ from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, crashes
 
 CRASHES = [("crashed", "risky"), ("crashed", "regular")]
-Effects = dict[
-    str, tuple[float, float]
-]  # of training on the crash rate in risky and regular traffic, by task
+# Of training on the crash rate in risky and regular traffic, by task.
+Effects = dict[str, tuple[float, float]]
 
 
 class TestPlan:

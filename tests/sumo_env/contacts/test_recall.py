@@ -82,8 +82,7 @@ def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[S
     for seed in range(number):
         env.reset(seed=seed, options={"config": {"risk": float(seed % 2)}})
         trace[:] = [env.scene]
-        for _ in drive(env, rng.integers(len(env.actions), size=100).tolist()):
-            pass
+        list(drive(env, rng.integers(len(env.actions), size=100).tolist()))
         truth = Truth()
         for before, after in pairwise(trace):
             truth.see(before, after)

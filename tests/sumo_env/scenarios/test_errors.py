@@ -66,7 +66,7 @@ ROWS: list[tuple[dict[str, Any], type[Exception], str]] = [
     (ego(config={"traffic_scale": 2}), ConfigError, "2 numbers"),
     (ego(config={"traffic_scale": [0.5, 1]}), ConfigError, "leave out an ego"),
     (ego(sumo_options=["--mesosim"]), ConfigError, "the environment's own"),
-    (ego(ego_vehicle="west.20", config={"wait": 5}), SimulatorError, "'wait'"),
+    (ego(ego_vehicle="west.20", config={"wait": 5}), SimulatorError, "car (west.20) has not departed"),
     (ego(config={"warm_up": 200}), SimulatorError, "'warm_up'"),
     (own(network=CONFIG, routes=[], config={"traffic_scale": [2, 1]}), ConfigError, "traffic_scale"),
     (own(network=CONFIG, routes=[], sumo_options=["--begin=5"]), ConfigError, "begin"),
@@ -106,6 +106,7 @@ FLEETS: list[tuple[dict[str, Any], str]] = [
     ({"vehicles": "ego"}, "list of names"),
     ({"vehicles": ["ego", "ego"]}, "different"),
     ({"vehicle_type": "mix", "max_cars": 2, "additional": "mix.add.xml"}, "distribution"),
+    *(({"vehicle_type": "ego", "max_cars": most}, "'max_cars' must be a whole") for most in (0, "2")),
     ({"vehicle_type": "quikc", "max_cars": 2, "additional": "mix.add.xml"}, "quick"),
 ]
 

@@ -16,6 +16,7 @@ from tests.processes import ended
 from tests.sumo_env.plans import SUMO_DRIVES, build, floating_car_data, needs_sumo, route_file
 
 pytest.importorskip("pettingzoo")
+pytestmark = needs_sumo
 
 PLAN = ("a 0 0, b 1500 0, c 2000 0", "ab a b 2 25, bc b c 2 25")
 TRAFFIC = """
@@ -37,7 +38,6 @@ def places(scene: Any) -> dict[str, float]:
     return dict(zip(scene.ids, scene.x.tolist(), strict=True))
 
 
-@needs_sumo
 def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> None:
     """car_0 departs ten seconds after car_1. SUMO drives both: all drive as without a second learning car."""
     network, routes = road
@@ -62,7 +62,6 @@ def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> 
     assert all(found[3].values()) and env.cars["car_0"].scene.place.lane[0].startswith("ab")
 
 
-@needs_sumo
 def test_a_further_car_writes_the_episode_of_all_and_imagines_what_is_to_come(
     road: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -87,7 +86,6 @@ def test_a_further_car_writes_the_episode_of_all_and_imagines_what_is_to_come(
         env.close()
 
 
-@needs_sumo
 def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
     """Further vehicles of the type are SUMO's; a car that has arrived leaves the agents."""
     network, routes = road
@@ -105,7 +103,6 @@ def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
     assert list(env.ids.values()) == ["early", "late", "g.0", "g.1"]
 
 
-@needs_sumo
 def test_a_crashed_car_stays_an_obstacle_after_sumo_has_teleported_it(
     road: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -139,7 +136,6 @@ def test_a_crashed_car_stays_an_obstacle_after_sumo_has_teleported_it(
     env.close()
 
 
-@needs_sumo
 def test_for_super_suit_all_agents_act_from_the_beginning(road: tuple[Path, Path]) -> None:
     """Those that come later see zeros until then; all end together."""
     supersuit = pytest.importorskip("supersuit")
@@ -161,7 +157,6 @@ def test_for_super_suit_all_agents_act_from_the_beginning(road: tuple[Path, Path
 AT_ONCE = 10
 
 
-@needs_sumo
 @pytest.mark.parametrize(
     "first", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(10, 300, AT_ONCE))]
 )

@@ -12,8 +12,8 @@ import gymnasium as gym
 import pytest
 
 from experiments.backends import make_env
-from sumo_env.env import DrivingEnv
-from tests.sumo_env.plans import Rows, floating_car_data, needs_sumo, opened
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from tests.sumo_env.plans import Rows, floating_car_data, grid, needs_sumo, opened, route_file
 from tests.sumo_env.rollout import drive
 
 pytestmark = [pytest.mark.slow, needs_sumo]
@@ -29,8 +29,7 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
 
 def driven(env: Any, action: int) -> DrivingEnv:
     """The environment at the end of an episode."""
-    for _ in drive(env, action, seed=1):
-        pass
+    list(drive(env, action, seed=1))
     return env.unwrapped
 
 
@@ -80,6 +79,16 @@ def test_the_other_backends_export_as_well(backend: str, tmp_path: Path) -> None
     steps = len(env._car.episode.commands) if backend == "replica" else env.steps // 15
     assert len(recorded) == 1 + steps * 15
     assert max(distances(recorded, opened(tmp_path / "episode.sumocfg")).values()) < 0.1
+
+
+def test_sumo_replays_vehicles_that_begin_or_change_lanes_within_junctions(tmp_path: Path) -> None:
+    net = grid(tmp_path, "-L=2", "--turn-lanes=1", "--sidewalks.guess")
+    routes = route_file(tmp_path, '<flow id="f" begin="0" end="99" period="2" from="A0A1" to="C1C2"/>')
+    with closing(SumoDrivingEnv(net, routes, ego_trips=[("A0A1", "C1C2")], config={"warm_up": 40})) as env:
+        for seed in range(8):
+            env.reset(seed=seed)
+            configuration = env.export(tmp_path / "episode")[-1]
+            assert "lanechange.duration" not in configuration.read_text() and opened(configuration)
 
 
 def test_an_export_follows_no_link(tmp_path: Path) -> None:

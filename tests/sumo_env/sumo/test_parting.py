@@ -20,11 +20,12 @@ from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.plans import SUMO_DRIVES, build, needs_sumo, route_file
 from tests.sumo_env.rollout import drive
 
+pytestmark = needs_sumo
 LEFT, IDLE, RIGHT = range(3)
 FAR = 200.0  # [m] from where the lanes part to the ends of the roads
 NEAR = 40.0  # [m] from where the ego begins at most to there
 WIDE = 4.0  # [m] lanes
-LASTING = ["--lanechange.duration", "0.8"]  # [s]
+LASTING = {"lanechange.duration": "0.8"}  # [s]
 
 
 def plan(rng: np.random.Generator, length: float) -> tuple[str, ...]:
@@ -95,12 +96,11 @@ class Parting(UTurn):
         return []
 
 
-@needs_sumo
 @pytest.mark.parametrize("seed", range(4))
 def test_no_change_of_lanes_breaks_sumo_down_where_lanes_part(tmp_path: Path, seed: int) -> None:
     """The ego begins one anywhere, at any speed, and ends on the road that its lane leads to; nothing holds it up.
 
-    SUMO has broken down at steps of 0.2 s.
+    SUMO has broken down at steps of 0.2 s; the end of its worker is an error here.
     """
     rng, ends = np.random.default_rng(seed), set()
     frequency = {"simulation_frequency": 10 if seed == 3 else 5, "policy_frequency": 5, "duration": 60}
@@ -119,9 +119,7 @@ def test_no_change_of_lanes_breaks_sumo_down_where_lanes_part(tmp_path: Path, se
     assert ends == {"c", "k"}
 
 
-@needs_sumo
 @pytest.mark.parametrize("seed", [0, 2])
-@pytest.mark.filterwarnings("ignore:this process has several")
 def test_nor_does_one_in_a_scenario_whose_lane_changes_take_their_time(tmp_path: Path, seed: int) -> None:
     rng, endings = np.random.default_rng(seed), set()
     net = build(tmp_path, plan(rng, float(rng.uniform(45.0, 80.0))), "--default.lanewidth=4")
@@ -129,12 +127,8 @@ def test_nor_does_one_in_a_scenario_whose_lane_changes_take_their_time(tmp_path:
     routes = route_file(tmp_path, f'<vehicle id="ego" depart="0" {start}><route edges="a-b b-c"/></vehicle>')
     action = {"type": "DiscreteMetaAction", "target_speeds": [5, 10, 15, 20, 30]}
     config = {"policy_frequency": 5, "simulation_frequency": 5, "action": action}
-    # the first one has this process, the second one a worker, whose end is an error here
-    first, env = (
-        SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, sumo_options=LASTING) for _ in range(2)
-    )
-    with closing(first), closing(env):
-        first.reset(seed=0)
+    worker = SumoProcess(options=LASTING)
+    with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, simulator=worker)) as env:
         for episode in range(45):
             env.reset(seed=episode)
             begins = int(rng.integers(5))
@@ -143,8 +137,6 @@ def test_nor_does_one_in_a_scenario_whose_lane_changes_take_their_time(tmp_path:
     assert endings == {"", "missed turn"}
 
 
-@needs_sumo
-@pytest.mark.filterwarnings("ignore:.*")
 def test_nor_does_a_cut_in(tmp_path: Path) -> None:
     net = build(tmp_path, plan(np.random.default_rng(2), 80.0), "--default.lanewidth=4")
     stop = '<stop lane="b-c_0" endPos="190" duration="900"/>'
@@ -154,12 +146,8 @@ def test_nor_does_a_cut_in(tmp_path: Path) -> None:
         cars += f'<flow id="{way}" {start}><route edges="a-b {way}"/></flow>'
     routes = route_file(tmp_path, cars)
     config = {"risk": 1.0, "duration": 90, "simulation_frequency": 5, "action": SUMO_DRIVES}
-    first, env = (
-        SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, sumo_options=LASTING) for _ in range(2)
-    )
-    with closing(first), closing(env):
-        first.reset(seed=0)
+    worker = SumoProcess(options=LASTING)
+    with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config, simulator=worker)) as env:
         for seed in range(8):
             env.reset(seed=seed, options={"risk_rates": {"cut_in": 1.0}})
-            for _ in drive(env, 0):
-                pass
+            list(drive(env, 0))

@@ -278,15 +278,11 @@ def test_ctrl_c_in_the_terminal_ends_the_script_alone(tmp_path: Path) -> None:
 # -- who has the simulation of this process ----------------------------------------------------------------
 
 
-def in_this_process(simulator: SumoProcess) -> bool:
-    return simulator.pid is None
-
-
 def test_the_first_is_in_this_process_and_further_ones_are_not() -> None:
     first, second, third = (open_simulator() for _ in range(3))
     for seed, simulator in enumerate((second, first, third)):  # the order of resets counts
         simulator.reset(scenario(seed))
-    assert [in_this_process(one) for one in (first, second, third)] == [False, True, False]
+    assert [one.pid is None for one in (first, second, third)] == [False, True, False]
     assert {one.step({"ego": COMMAND}).scene.x[-1] for one in (second, first, third)} == {0.0, 1.0, 2.0}
 
 
@@ -296,14 +292,14 @@ def test_closing_or_forgetting_the_first_frees_it() -> None:
     first.close()
     second.reset(scenario())
     first.reset(scenario())  # used again after all
-    assert in_this_process(second)
-    assert not in_this_process(first)
+    assert second.pid is None
+    assert first.pid is not None
     del second
     gc.collect()
     first.reset(scenario())
-    assert not in_this_process(first)  # stays where it is
+    assert first.pid is not None  # stays where it is
     third.reset(scenario())
-    assert in_this_process(third)
+    assert third.pid is None
 
 
 def test_threads_do_not_share_it() -> None:
@@ -316,7 +312,7 @@ def test_threads_do_not_share_it() -> None:
 
     with ThreadPoolExecutor(len(simulators)) as pool:
         list(pool.map(reset, range(len(simulators))))
-    assert sum(in_this_process(one) for one in simulators) == 1
+    assert sum(one.pid is None for one in simulators) == 1
     for index, one in enumerate(simulators):
         assert one.step({"ego": COMMAND}).scene.x[-1] == index
 

@@ -64,10 +64,11 @@ def test_lanes_limits_and_junctions_are_read(blocks: Path, merge: Path) -> None:
     for net in (blocks, merge):
         for index, lane in files.network(net).road.lanes.items():
             for s in np.linspace(0.5, lane.length - 0.5, 7).tolist():
-                assert lane.local_coordinates(*lane.position(s, 0.0)) == pytest.approx((s, 0.0), abs=0.3), (
-                    index
-                )
-            assert lane.position(0.0, 1.0) != lane.position(0.0, -1.0)
+                found = lane.local_coordinates(*lane.position(s, 0.0))
+                assert found == pytest.approx((s, 0.0), abs=0.3), index
+    stops, crossing = files.network(blocks).road.stops, ("A1B1", "C1B1", "B0B1", "B2B1")
+    # of two roads that cross one has right of way
+    assert {files.lane(edge) in stops for edge in crossing} == {True, False}
 
 
 @pytest.mark.slow

@@ -145,11 +145,9 @@ def test_an_imagined_copy_has_the_past_and_another_future() -> None:
     for _ in range(2):
         env.step(1)
     same, first, second = env.imagine(1), env.imagine(1), env.imagine(env.scenario.seed)
-    now = env.scene.time
+    past = {event for event in env.scenario.events if event.time <= env.scene.time}
     for twin in (first, second):
-        past = [event for event in twin.scenario.events if event.time <= now]
-        assert past == [event for event in env.scenario.events if event.time <= now]
-        assert len(twin.scenario.events) > len(past)
+        assert past == {*env.scenario.events} & {*twin.scenario.events} < {*twin.scenario.events}
     assert first.scenario == same.scenario != second.scenario != env.scenario
     endings = []
     for twin in (env, same, first, second):

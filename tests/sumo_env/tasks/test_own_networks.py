@@ -86,6 +86,14 @@ def test_a_generated_network_is_driven(blocks: Path, risk: float) -> None:
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
 
 
+@pytest.mark.parametrize("frequency", [1, 10])
+def test_drawn_vehicles_depart_as_often_at_any_policy_frequency(merge: Path, frequency: int) -> None:
+    config = {"spawn_probability": 0.5, "duration": 1000, "policy_frequency": frequency}
+    env = SumoDrivingEnv(merge, [["main", "out"]], ["slip", "out"], config)
+    drawn = env.task.scenario(env.config, 0).traffic.elements
+    assert drawn.count('<vehicle id="s') == pytest.approx(500, abs=70)  # three standard deviations
+
+
 def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
     env = SumoDrivingEnv(merge, merge.with_name("d.rou.xml"), ["main", "out"], {"duration": 20})
     assert env.target_speeds == (0.0, 12.5, 25.0)

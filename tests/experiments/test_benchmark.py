@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import time
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -33,6 +35,15 @@ def test_a_slice_ends_with_an_episode_and_holds_its_resets(arguments: tuple[Any,
     assert min(driver.rate(0.0)) > 0.0 and driver._done >= driver._whole
     if driver._whole:
         assert min(driver.rate(0.0)) > 0.0 and driver.reset_ms() > 0.0
+    driven, step, begun = 0, driver._env.step, time.perf_counter()
+
+    def counted(actions: Any) -> Any:
+        nonlocal driven
+        driven += np.size(actions)
+        return step(actions)
+
+    driver._env.step = counted
+    assert driver.rate(0.0)[1] * (time.perf_counter() - begun) >= driven > 0
     assert driver.distinct(3) == 3
     driver._env.close()
 

@@ -131,3 +131,4 @@ def test_highway_env_drives_them_with_its_own_linear_vehicle() -> None:
         assert isinstance(vehicle, LinearScenarioVehicle) and isinstance(vehicle, LinearVehicle)
         assert tuple(vehicle.ACCELERATION_PARAMETERS) == drivers[vehicle.id].acceleration
         assert tuple(vehicle.STEERING_PARAMETERS) == drivers[vehicle.id].steering
+        assert vehicle.TIME_WANTED == linear.TIME_WANTED

@@ -25,20 +25,22 @@ class Road(gym.Env[np.ndarray, int]):
 
     def __init__(self, strikes_at: int | None = 2, places: tuple[int, ...] = (2, 3, 4)) -> None:
         self.strikes_at, self.places = strikes_at, places
-        self.place = self.steps = 0
+        self.place, self.steps, self.is_over = 0, 0, False
 
     def get_available_actions(self) -> list[int]:
         return [0, 1, 2]
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
-        self.place = self.steps = 0
+        self.place, self.steps, self.is_over = 0, 0, False
         return np.zeros(1), {}
 
     def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        assert not self.is_over
         self.place += action
         self.steps += 1
         crashed = self.steps == self.strikes_at and self.place in self.places
+        self.is_over = crashed or self.steps >= 6
         return np.array([self.place]), float(action), crashed, self.steps >= 6, {"crashed": crashed}
 
     def __deepcopy__(self, memo: dict[Any, Any]) -> Road:

@@ -10,6 +10,7 @@ import pytest
 
 from agents.rules import CAUTIONS, make_policy
 from agents.rules.careful import FUTURE, _drive
+from agents.rules.perception import Perception
 from experiments.backends import make_env
 from experiments.study.compute.evaluate import drives, evaluate
 
@@ -69,13 +70,11 @@ NEARER, SLOW, FAR, BESIDE = (35, 0, 20), (30, 0, 20), (90, -4, 25), (2, -4, 25)
         ([scene(), scene(speed=30.0)], {"IDLE"}),
         ([scene((48, 0, 20)), scene((43, 0, 20))], {"SLOWER", "IDLE"}),
         ([scene((25, 0, 20)), scene((20, 0, 20))], {"SLOWER"}),
-        (
-            [scene(NEARER, FAR), scene(SLOW, FAR)],
-            {"LANE_LEFT"},
-        ),  # somebody far ahead shows that there is a lane
+        # somebody far ahead shows that there is a lane
+        ([scene(NEARER, FAR), scene(SLOW, FAR)], {"LANE_LEFT"}),
         ([scene(NEARER, BESIDE), scene(SLOW, BESIDE)], {*FIVE.values()} - {"LANE_LEFT"}),
-        # y has not changed after LANE_LEFT: there was no lane
-        ([scene(NEARER, FAR), scene(SLOW, FAR), scene((25, 0, 20))], {*FIVE.values()} - {"LANE_LEFT"}),
+        # y has not changed after LANE_LEFT: there was no lane, and none is known on the right
+        ([scene(NEARER, FAR), scene(SLOW, FAR), scene((25, 0, 20))], {"IDLE", "SLOWER", "FASTER"}),
     ],
 )
 def test_careful_speeds_up_brakes_and_overtakes(scenes: list[np.ndarray], expected: set[str]) -> None:
@@ -142,6 +141,9 @@ def test_idm_follows_a_leader_round_a_bend() -> None:
     tangent = (straight[0] + 15 * np.cos(straight[2]), straight[1] + 15 * np.sin(straight[2]), straight[2])
     assert choice(on_arc(speed + 15.0)) == "SLOWER"
     assert choice(tangent) != "SLOWER"
+    perception = Perception(road())  # an ego on the bend keeps its lane
+    *_, sideways = (perception.look(seen(time, [])).sideways for time in (0.0, 1.0, 2.0))
+    assert sideways == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.slow

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import time
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -33,6 +36,9 @@ def test_a_slice_ends_with_an_episode_and_holds_its_resets(arguments: tuple[Any,
     assert min(driver.rate(0.0)) > 0.0 and driver._done >= driver._whole
     if driver._whole:
         assert min(driver.rate(0.0)) > 0.0 and driver.reset_ms() > 0.0
+    with patch.object(driver._env, "step", wraps=driver._env.step) as step:
+        begun, (_, rate) = time.perf_counter(), driver.rate(0.0)
+    assert rate * (time.perf_counter() - begun) >= sum(np.size(call.args[0]) for call in step.call_args_list)
     assert driver.distinct(3) == 3
     driver._env.close()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -55,9 +56,7 @@ def test_a_policy_of_one_s_own_gets_the_card_of_the_rule_that_it_is(short: Path,
     assert places == [(traffic, level, n) for traffic in TRAFFICS for level, n in sizes.items()]
     for row in own["rows"]:
         assert row["entered"] is None  # there is no crossing
-        for low, value, high in [
-            (row[name][1], row[name][0], row[name][2]) for name in ("crashed", "return")
-        ]:
+        for value, low, high in (row["crashed"], row["return"]):
             assert low <= value <= high
 
 
@@ -113,6 +112,14 @@ def test_who_drives_where() -> None:
     }
     assert entrants("pair")["u-turn", "12"].name == "u-turn-12/pair"
     assert entrants("{task}-{level}.zip")["highway", "50"].name == "highway-50.zip"
+
+
+def test_of_stored_agents_the_last_one_drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    key = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
+    records = {name: {"key": key, "timing": {"finished": f"1 May 0{k}"}} for k, name in enumerate("bca")}
+    store = SimpleNamespace(records=lambda: records, weights=lambda name: tmp_path)
+    monkeypatch.setattr("experiments.study.compute.entrants.Store", lambda _: store)
+    assert entrants(str(tmp_path))["u-turn", "3"].name == "a"
 
 
 def test_the_numbers_of_a_card_are_those_of_its_episodes() -> None:

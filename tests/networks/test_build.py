@@ -42,22 +42,15 @@ def test_what_the_simulation_relies_on_is_there(plan):
     # otherwise SUMO's drivers slow down before minor connections until they are 4.5 m from them, in order to see
     assert [float(way.get("visibility")) for way in ways] == [200.0] * len(plan.connections)
     # lane changes are left to the drivers, but for those to lanes that nobody may change to
-    closed = {
-        (lane.get("id"), key) for lane in lanes for key in ("changeLeft", "changeRight") if lane.get(key)
-    }
+    sides = "changeLeft", "changeRight"
+    closed = {(lane.get("id"), key, lane.get(key)) for lane in lanes for key in sides if lane.get(key)}
     net = mapping.network(plan.road)
     assert closed == {
-        (net.lanes[start, end, lane].id, key)
+        (net.lanes[start, end, lane].id, key, plans.NOBODY)
         for start, end, lane in plan.road.lanes
-        for side, key in ((-1, "changeLeft"), (1, "changeRight"))
+        for side, key in zip((-1, 1), sides, strict=True)
         if (start, end, lane + side) in plan.road.lanes and plan.road.beside((start, end, lane), side) is None
     }
-    assert all(
-        lane.get(key) == plans.NOBODY
-        for lane in lanes
-        for key in ("changeLeft", "changeRight")
-        if lane.get(key)
-    )
     # at junctions that are `unregulated` SUMO checks no collisions
     assert {junction.get("type") for junction in root.iter("junction")} <= {"priority", "dead_end"}
     # no turn is split by an internal junction

@@ -86,6 +86,9 @@ def test_placing_follows_the_route_over_joints():
     assert lane == "wx-we_1"
     travelled = 20 * math.radians(48) - 10.0 + 2.5  # of the inner arc from node wx, by the bumper
     assert position / net.stretch(lane) + plans.GAP / 2 == pytest.approx(travelled, abs=0.1)
+    straight = net.road.lane(("ser", "ses", 0)).length
+    before = net.place(("ses", "se", 0), -5.0, "exr"), net.place(("ser", "ses", 0), straight - 5.0, "exr")
+    assert before[0][1] == before[1][1] and before[0][2] == pytest.approx(before[1][2], abs=0.1)
 
 
 def shifted(road):

@@ -48,10 +48,12 @@ def test_what_is_not_decided_is_not_said() -> None:
     assert break_even_words(break_even(same), 1.0, RATES) == "nothing is decided at any rate"
 
 
-def test_agents_that_never_crashed_have_the_limit_of_their_episodes() -> None:
+def test_agents_have_student_s_interval_or_that_of_their_episodes() -> None:
     none = agent(np.zeros(4)).assign(crashes_per_episode_high=0.004)
     found = mean_of_agents([none] * 4, "episode")
     np.testing.assert_allclose(found, np.tile([0.0, 0.0, 0.004 / 2], (4, 1)))
+    exact = mean_of_agents([agent(np.full(4, value), 0.0) for value in (0.1, 0.2, 0.6)], "episode")
+    np.testing.assert_allclose(exact, np.tile([0.3, 0.0, 0.3 + 4.3027 * 0.2646 / 3**0.5], (4, 1)), atol=1e-4)
 
 
 def test_the_interval_covers_the_difference_of_two_populations() -> None:

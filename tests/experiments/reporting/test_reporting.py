@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 
 from experiments.analysis.by_task import COLUMNS
 from experiments.reporting import by_task, figures, page, tables
+from experiments.study.design.traffic import TRAFFICS
 
 
 def analysis(**frames: Any) -> Any:
@@ -97,12 +98,9 @@ def test_tasks_are_on_the_side_that_the_plan_or_their_interval_says() -> None:
     verdicts = [("u-turn", "risky", "less"), ("two-way", "risky", "open"), ("two-way", "regular", "more")]
     primary = pd.DataFrame(verdicts, columns=["scope", "term", "verdict"])
     found = analysis(by_task=TASKS, primary=primary.assign(backend="sumo", outcome="crashed"))
-    assert by_task.sides(found, "sumo", "crashed", ("sumo", "risky")) == {
-        "less": ["u-turn"],
-        "more": [],
-        "open": ["two-way"],
-    }
-    assert by_task.sides(found, "sumo", "crashed", ("sumo", "regular"))["more"] == ["two-way"]
+    sides = {traffic: by_task.sides(found, "sumo", "crashed", ("sumo", traffic)) for traffic in TRAFFICS}
+    assert sides["risky"] == {"less": ["u-turn"], "more": [], "open": ["two-way"]}
+    assert sides["regular"]["more"] == ["two-way"]
     speeds = rows_by_task(
         ("u-turn", "sumo", "risky", "mean_speed", 10.0, 9.0, -1.4, -0.6),
         ("two-way", "sumo", "risky", "mean_speed", 9.0, 9.5, 0.1, 0.9),
@@ -127,18 +125,9 @@ def test_a_bound_is_a_line_from_the_agent_to_the_pair_the_mean_first() -> None:
         "speed_against": 10.0, "speed_arm": 8.9, "slow": True, "return_against": 6.0, "return_arm": 7.5,
     }  # fmt: skip
     rows = [values, {**values, "scope": "all tasks", "verdict": "open", "slow": False}]
+    whose, found = "one control agent, regular traffic", ("−1.0", "−3.0", "+1.2", "below +2.5")
     assert tables.bounds(analysis(price=pd.DataFrame(rows)), "sumo").to_numpy().tolist() == [
-        [
-            "one control agent, regular traffic",
-            task,
-            "−1.0",
-            "−3.0",
-            "+1.2",
-            "below +2.5",
-            answer,
-            "10.0 → 8.9",
-            paid,
-        ]
+        [whose, task, *found, answer, "10.0 → 8.9", paid]
         for task, answer, paid in (("mean of the tasks", "open", ""), ("u-turn", "holds, slow", "6.0 → 7.5"))
     ]
 
@@ -241,3 +230,18 @@ def test_the_hazard_is_the_share_of_the_drives_still_on_the_road_that_crashes() 
     # five drives in the first second, three in the second, two in the third
     assert found.loc["a"].tolist() == pytest.approx([1 / 5, 1 / 3, 1 / 2])
     assert found.loc["b"].tolist() == pytest.approx([0.0, 1.0, float("nan")], nan_ok=True)
+
+
+def test_paces_weight_every_task_alike() -> None:
+    tasks = {"task": ["highway", "highway", "u-turn"], "level": [1, 2, 1]}
+    rows = pd.DataFrame({**tasks, "crashed": [0.1, 0.3, 0.8], "progress": [10.0, 20.0, 30.0]})
+    found = page.paces(rows.assign(arm="", policy="idle", traffic="risky"))
+    assert found["idle"]["risky"] == pytest.approx({"crashed": 0.5, "progress": 22.5})
+
+
+def test_pairs_are_shown_in_the_lightest_settings() -> None:
+    places = pd.DataFrame({"arm": ["control", "pair"]}).merge(pd.DataFrame({"level": [1, 2]}), "cross")
+    rows = places.assign(backend="sumo", task="u-turn", traffic="risky", mean_speed=9.0)
+    policies = rows.assign(crashed=0.1 * rows["level"])
+    found: Any = tables.pairs(SimpleNamespace(policies=policies), "sumo")  # type: ignore[arg-type]
+    assert found["crashes in risky traffic"].tolist() == ["10.0 %", "10.0 %"]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from itertools import product
 from typing import Any
 
 import gymnasium as gym
 import pytest
 
-from experiments.study.compute.evaluate import CRASH_KEYS, play_from
+from experiments.study.compute.evaluate import CRASH_KEYS, Drive, play, play_from
+from experiments.study.design.traffic import TRAFFICS
 from sumo_env.contacts.crash import CrashRecord
 
 # Of each step: speed [m/s], distance [m], time to collision [s], near miss, vehicles near, reward, action.
@@ -61,3 +63,11 @@ def test_a_row_is_what_the_steps_of_the_episode_say(crashes: bool) -> None:
             **{f"crash_{name}": value for name, value in crash.items()},
         }
     )  # fmt: skip
+
+
+def test_a_policy_draws_otherwise_in_every_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds: list[int] = []
+    monkeypatch.setattr(Acts, "reset", lambda _, seed: seeds.append(seed))
+    for traffic, scenario in product(TRAFFICS, (0, 1)):
+        play(Told(False), Acts(), Drive("u-turn", 1, traffic, scenario))
+    assert len(set(seeds)) == 4

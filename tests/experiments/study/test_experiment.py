@@ -21,6 +21,7 @@ from experiments.study.design.arms import (
 )
 from experiments.study.design.cell import Cell, setting_of_agent
 from experiments.study.design.experiment import Experiment
+from experiments.study.design.fingerprint import known_dynamics
 from experiments.study.design.levels import choose_levels
 from experiments.study.design.options import Asked
 from experiments.study.design.sheet import GRID
@@ -54,6 +55,7 @@ def test_further_arms_tests_and_policies_rename_nothing():
     unseen = {tuple(c.test_on["traffics"]) for c in tests if c.slug.endswith("-unseen")}
     assert unseen == {unseen_traffics("highway")}
     assert all(c.budget == (0, 0) for c in tests)
+    assert all(c.tested.get("dynamics", c.dynamics) == known_dynamics(c.runs_on, c.task) for c in tests)
     assert "highway-env" in next(c for c in tests if c.runs_on == "highway-env").versions
     for c in (*more, *cells(learner="sb3-dqn", test_on=("replica",))):
         of_both = c.kind == "agent" and c.arm in ARMS

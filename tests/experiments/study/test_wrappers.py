@@ -26,7 +26,7 @@ SLOWER = 4
 
 
 def test_the_time_is_a_column_of_the_ego() -> None:
-    env = observed(make_env("sumo", "u-turn"), TrainingRules(time_observed=10))
+    env = observed(make_env("sumo", "u-turn", {"policy_frequency": 2}), TrainingRules(time_observed=5))
     plain = make_env("sumo", "u-turn")
     assert env.observation_space.shape == (2, 6)
     for episode in range(2):  # which begins at 0 again

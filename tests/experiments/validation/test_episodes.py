@@ -7,11 +7,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from experiments.validation import episodes
 from experiments.validation.episodes import COLUMNS, CORE, HEADWAYS, Engine, Part, egos, plan, run
+from sumo_env.networks.roads import highway
+from sumo_env.scene import Scene
 
 SUMO = Engine("sumo", "sumo")
 
@@ -53,6 +56,16 @@ def test_other_dynamics_or_settings_are_other_files(monkeypatch: pytest.MonkeyPa
     assert len(files) == 1 + len(others)
     monkeypatch.setattr(episodes, "dynamics", lambda *_: "other")
     assert Part(SUMO, "u-turn", 1, "regular", range(3)).name not in files
+
+
+def test_the_traffic_is_that_of_the_others_near_the_ego() -> None:
+    """Of two cars that are followed for half a second one changes lane: a change in a 60th of a vehicle-minute."""
+    x, speed, nothing = np.array([0.0, 20.0, 50.0, 300.0]), np.array([40.0, 10.0, 20.0, 5.0]), np.zeros(4)
+    ids, moved = ("ego", "a", "b", "far"), [np.array([0.0, y, 4.0, 0.0]) for y in (0.0, 4.0)]
+    scenes = [Scene(ids, x, y, speed, nothing, nothing > 0, 0.5 * k) for k, y in enumerate(moved)]
+    found = episodes.traffic_near(scenes, "highway", highway(), 0.5)
+    assert (found["traffic_speed"], found["density"]) == (15.0, 2.0)
+    assert found["lane_changes"] == pytest.approx(60.0)
 
 
 def test_episodes_are_measured() -> None:

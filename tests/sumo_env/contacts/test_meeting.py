@@ -241,7 +241,7 @@ NEAR = [
     (PIECES, Spot("wa_0", 197.0), Spot("ce_0", 10.0), BUS + CAR, 0.0, True),
     (PIECES, Spot("wa_0", 197.0), Spot("ce_0", 10.0), CARS, 0.0, False),
     # a ramp and its road, as long as they are beside each other
-    (NARROW, Spot("wm_0", 200.0), Spot("sm_0", 200.0), CARS, 0.0, True),
+    (NARROW, Spot("wm_0", 150.0), Spot("sm_0", 150.0), CARS, 0.0, True),
     (NARROW, Spot("wm_0", 20.0), Spot("sm_0", 20.0), CARS, 0.0, False),
     # heights differ more where vehicles have a way to go
     (HILL, Spot("wm_0", 160.0, 14.0), Spot("wm_0", 180.0, 18.0), CARS, 0.0, False),
@@ -253,8 +253,8 @@ NEAR = [
 
 def test_who_can_meet(tmp_path: Path) -> None:
     for plan, one, other, lengths, driven, expected in NEAR:
-        rule = files.network(netconvert(tmp_path, plan)).meeting
-        assert rule is not None and rule.can_meet(one, other, lengths, driven) == expected, (one, other)
+        can_meet = files.network(netconvert(tmp_path, plan)).meeting.can_meet
+        assert {can_meet(*two, lengths, driven) for two in ((one, other), (other, one))} == {expected}, one
 
 
 def test_the_ego_is_as_large_as_its_vehicle_type(tmp_path: Path) -> None:

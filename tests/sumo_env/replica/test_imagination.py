@@ -21,6 +21,7 @@ from tests.tasks import highway_env_task
 
 RISKY = {"scenarios": "seeded", "config": {"risk": 0.6}}
 LINEAR = {**RISKY, "risk_law": "linear"}
+ARRIVING = {"intersection": {"config": {"spawn_probability": 1.0}}}
 
 
 def started(task: str, **choices: Any) -> Any:
@@ -49,15 +50,18 @@ def test_an_imagined_copy_has_the_past_and_another_future(task: str, choices: di
     assert first == scenes(again) and first != future and first != scenes(otherwise)
 
 
-@pytest.mark.parametrize("task", ["highway", "roundabout", "intersection"])
+@pytest.mark.parametrize("task", ["highway", "roundabout", "intersection", "u-turn"])
 def test_of_highway_env_s_drivers_the_exponent_is_drawn(task: str) -> None:
-    env = started(task)
+    """But of those whose exponent highway-env does not draw, and of the ego; who arrives is no other copy's."""
+    env = started(task, **ARRIVING.get(task, {}))
     twin = env.imagine(3)
     ours, theirs = env.replica._cars, twin.replica._cars
     changed = [name for name in PARAMETERS if not np.array_equal(ours[name], theirs[name])]
     assert changed == ["delta"]
     assert ((theirs["delta"][1:] >= 3.5) & (theirs["delta"][1:] <= 4.5)).all()
-    assert theirs["delta"][0] == ours["delta"][0]  # the ego's
+    assert (theirs["delta"] == ours["delta"]).tolist() == (ours["delta"] == 4.0).tolist()
+    scenes(twin)
+    assert scenes(env) == scenes(started(task, **ARRIVING.get(task, {})))
 
 
 def test_drivers_come_from_the_pool_of_their_dose() -> None:
@@ -97,6 +101,8 @@ def test_ranges_are_highway_env_s_widened_about_the_same_means() -> None:
         assert (abs(values - mean) <= w * spread).all() and (values > 0.0).all()
         np.testing.assert_allclose(values.mean(axis=0), mean, atol=0.1 * w * spread.max())
         assert (np.ptp(values, axis=0) > 1.9 * w * spread).all()
+    every = np.array([(*driver.acceleration, *driver.steering) for driver in drivers])
+    assert abs(np.corrcoef(every.T) - np.eye(5)).max() < 0.15  # all are drawn independently
 
 
 def test_the_dose_is_the_share_of_linear_drivers_and_they_stay_the_same() -> None:
@@ -125,3 +131,4 @@ def test_highway_env_drives_them_with_its_own_linear_vehicle() -> None:
         assert isinstance(vehicle, LinearScenarioVehicle) and isinstance(vehicle, LinearVehicle)
         assert tuple(vehicle.ACCELERATION_PARAMETERS) == drivers[vehicle.id].acceleration
         assert tuple(vehicle.STEERING_PARAMETERS) == drivers[vehicle.id].steering
+        assert vehicle.TIME_WANTED == linear.TIME_WANTED

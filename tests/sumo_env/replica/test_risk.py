@@ -79,6 +79,8 @@ def test_sudden_braking_lasts_as_long_as_the_event_says() -> None:
     hard = np.flatnonzero(np.diff(speed) * 15 <= -9.0 + 1e-9) + 1
     assert hard.tolist() == list(range(16, 31))  # the first sub-step that begins after 1.01 s is number 16
     assert marked(seen, "v5") == list(range(16, 31))
+    longer = scenario("highway", RiskEvent(0.0, "v5", "brake", accel=-9.0, duration=4.0), vehicles_count=12)
+    assert min(scene.speed[row] for scene, row in driven(longer, 4, "v5")) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_surge_that_pauses_is_not_marked() -> None:
@@ -96,8 +98,6 @@ def test_a_swerve_on_the_two_way_road_comes_back() -> None:
     y = np.array([scene.y[row] for scene, row in seen])
     assert y.min() < 0.1
     assert y[-1] == pytest.approx(4.0, abs=0.1)
-    left = np.flatnonzero(y < 2.0)
-    assert (left[-1] - left[0]) / 15 == pytest.approx(3.0, abs=0.3)
 
 
 def test_events_of_vehicles_that_are_not_there_are_dropped() -> None:

@@ -20,13 +20,13 @@ from .pairs import Case, cases, compare, different
 
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
-SHUFFLED = {**TABLE, "order": "shuffled"}
+SHUFFLED, BEHIND = {**TABLE, "order": "shuffled"}, {**TABLE, "see_behind": True}
 EXIT = {"type": "ExitObservation", "order": "shuffled", "vehicles_count": 4, "see_behind": True}
 LADDER = {"type": "DiscreteMetaAction", "target_speeds": [4, 12, 20]}
 CONFIGS: dict[str, list[dict[str, Any]]] = {
     "highway": [
         {"lanes_count": 3, "vehicles_count": 12, "vehicles_density": 2, "initial_lane_id": 1},
-        {"vehicles_count": 8, "duration": 3, "policy_frequency": 5, "observation": SHUFFLED},
+        {"vehicles_count": 8, "duration": 2, "policy_frequency": 5, "observation": SHUFFLED},
     ],
     "two-way": [{"observation": TABLE, "neighbour_vehicles_connected_lanes": True}],
     "roundabout": [
@@ -43,11 +43,8 @@ CONFIGS: dict[str, list[dict[str, Any]]] = {
         {"neighbour_vehicles_connected_lanes": True, "action": LADDER},
     ],
     "merge": [
-        {"neighbour_vehicles_connected_lanes": True, "action": LADDER},
-        {
-            "observation": {**TABLE, "include_obstacles": False, "see_behind": True},
-            "merging_speed_reward": -2,
-        },
+        {"neighbour_vehicles_connected_lanes": True, "action": LADDER, "observation": BEHIND},
+        {"observation": {**BEHIND, "include_obstacles": False}, "merging_speed_reward": -2},
     ],
     "exit": [
         {"lanes_count": 3, "neighbour_vehicles_connected_lanes": True, "right_lane_reward": 0.3},

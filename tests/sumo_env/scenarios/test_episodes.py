@@ -66,6 +66,8 @@ def test_a_seed_is_one_episode_whatever_was_driven_before_and_wherever(town: Pat
     other = seen(env, 4, 20)
     env.sumo.edge.setMaxSpeed("A0A1", 3.0)
     assert_same(seen(env, 3), first)
+    env.reset(seed=5, options={"scenario": env.scenario})  # whose own seed counts
+    assert_same(driven(env), first)
     assert not np.array_equal(first[-1].y[:2], other[len(first) - 1].y[:2])
     worker = SumoDrivingEnv(town, ego_vehicle="ego")
     assert_same(seen(worker, 3), first)
@@ -177,13 +179,10 @@ def test_vehicles_that_cannot_come_yet_are_counted(tmp_path: Path) -> None:
 def test_the_step_is_the_file_s_or_the_user_s(town: Path) -> None:
     half = town.with_name("half.sumocfg")
     half.write_text(town.read_text().replace("<time>", '<time><step-length value="0.5"/>'))
-    for config, step in (({}, 0.5), ({"simulation_frequency": 5}, 0.2)):
-        env = SumoDrivingEnv(half, ego_vehicle="ego", config=config)
+    for file, config, step in ((half, {}, 0.5), (half, {"simulation_frequency": 5}, 0.2), (town, {}, 0.1)):
+        env = SumoDrivingEnv(file, ego_vehicle="ego", config=config)
         env.reset(seed=0)
         assert env.sumo.simulation.getDeltaT() == pytest.approx(step)
-    env = SumoDrivingEnv(town, ego_vehicle="ego")
-    env.reset(seed=0)
-    assert env.sumo.simulation.getDeltaT() == pytest.approx(0.1)
 
 
 # -- options and outputs -----------------------------------------------------------------------------------

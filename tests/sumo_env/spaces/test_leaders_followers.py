@@ -129,11 +129,9 @@ def test_fuel_is_what_sumo_says_on_request(tmp_path: Path) -> None:
     env = road(path, policy_frequency=10, measure_energy=True)
     for _ in range(20):
         *_, info = env.step(FASTER)
-        assert (
-            info["fuel"] == pytest.approx(0.1 * env.sumo.vehicle.getFuelConsumption("ego"))
-            and info["fuel"] > 0
-        )
-        assert info["electricity"] == 0.0
+        burnt = 0.1 * env.sumo.vehicle.getFuelConsumption("ego")  # [mg], and the reward is for each gram
+        assert (info["fuel"], 1e3 * info["rewards"]["fuel_reward"]) == pytest.approx((burnt, burnt))
+        assert burnt > 0.0 == info["electricity"]
     electric = road(path, fuel_reward=-2.0, electricity_reward=-0.5)
     electric.sumo.vehicle.setEmissionClass("ego", "Energy/unknown")
     _, reward, _, _, info = electric.step(FASTER)

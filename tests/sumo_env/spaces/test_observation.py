@@ -40,7 +40,7 @@ KINEMATICS: list[dict[str, Any]] = [
     {"type": "Kinematics", "vehicles_count": 15, "absolute": True, "features": ALL_FEATURES},
     {"type": "Kinematics", "vehicles_count": 6, "observe_intentions": True, "features": ALL_FEATURES},
     {"type": "Kinematics", "order": "shuffled", "vehicles_count": 8, "see_behind": True},
-    {"type": "Kinematics", "normalize": False, "features": ["x", "vx", "presence"]},
+    {"type": "Kinematics", "normalize": False, "see_behind": True, "features": ["x", "vx", "presence"]},
     {"type": "Kinematics", "clip": False, "features_range": {"x": [-50, 50], "heading": [-4, 4]}},
 ]
 GRIDS: list[dict[str, Any]] = [

@@ -163,14 +163,19 @@ def test_a_kind_that_another_one_replaces_gives_back_at_once(simulator: SumoSimu
     scenario = following()
     tailgating = RiskEvent(0.0, "v1", Tailgating(), duration=9.0, way=200.0)
     brake = RiskEvent(1.5, "v1", "brake", accel=-2.0, duration=1.0)
+    again = replace(tailgating, time=4.0, duration=1.0)
     Tailgating.given_back.clear()
-    simulator.reset(replace(scenario, events=(tailgating, brake)))
+    simulator.reset(replace(scenario, events=(tailgating, brake, again)))
     regular = libsumo.vehicle.getTau("v1")
     for wanted in (0.1, regular, regular):
         simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
         assert libsumo.vehicle.getTau("v1") == wanted
     assert Tailgating.given_back == ["v1"]
     assert libsumo.vehicle.getSpeedMode("v1") == REGULAR
+    libsumo.vehicle.setTau("v1", 2.5)  # by a user, whose it is from then on
+    for wanted in (2.5, 0.1, 2.5):
+        simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
+        assert libsumo.vehicle.getTau("v1") == wanted
 
 
 @pytest.mark.parametrize("wrong", ["tailgate", "", Tailgating, None])

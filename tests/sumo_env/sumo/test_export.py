@@ -12,7 +12,8 @@ import gymnasium as gym
 import pytest
 
 from experiments.backends import make_env
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
+from sumo_env.scenarios import SumoDrivingEnv
 from tests.sumo_env.plans import Rows, floating_car_data, grid, needs_sumo, opened, route_file
 from tests.sumo_env.rollout import drive
 

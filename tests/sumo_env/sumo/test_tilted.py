@@ -61,7 +61,7 @@ def recomputed(env: Any, driven: list[tuple[Any, Any]], events: list[RiskEvent],
 def test_the_weight_is_that_of_the_stored_events(task: str) -> None:
     """In every task with any factor and reach, however an episode ends; further events begin near the ego alone."""
     rng = np.random.default_rng(len(task))
-    with closing(DrivingEnv(task, {"risk": 0.1})) as env:
+    with closing(DrivingEnv(task, {"risk": 0.1, "duration": 9.5})) as env:  # the last step is beyond
         rates = env.task.risk_rates
         for seed in range(4):
             factor, reach = math.exp(rng.uniform(0.0, 4.0)), rng.uniform(10.0, 80.0)

@@ -64,10 +64,11 @@ def test_lanes_limits_and_junctions_are_read(blocks: Path, merge: Path) -> None:
     for net in (blocks, merge):
         for index, lane in files.network(net).road.lanes.items():
             for s in np.linspace(0.5, lane.length - 0.5, 7).tolist():
-                assert lane.local_coordinates(*lane.position(s, 0.0)) == pytest.approx((s, 0.0), abs=0.3), (
-                    index
-                )
-            assert lane.position(0.0, 1.0) != lane.position(0.0, -1.0)
+                found = lane.local_coordinates(*lane.position(s, 0.0))
+                assert found == pytest.approx((s, 0.0), abs=0.3), index
+    stops, crossing = files.network(blocks).road.stops, ("A1B1", "C1B1", "B0B1", "B2B1")
+    # of two roads that cross one has right of way
+    assert {files.lane(edge) in stops for edge in crossing} == {True, False}
 
 
 @pytest.mark.slow
@@ -83,6 +84,14 @@ def test_a_generated_network_is_driven(blocks: Path, risk: float) -> None:
     np.testing.assert_array_equal(observations(other, 1, seed=3), first)
     picture = env.render()
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
+
+
+@pytest.mark.parametrize("frequency", [1, 10])
+def test_drawn_vehicles_depart_as_often_at_any_policy_frequency(merge: Path, frequency: int) -> None:
+    config = {"spawn_probability": 0.5, "duration": 1000, "policy_frequency": frequency}
+    env = SumoDrivingEnv(merge, [["main", "out"]], ["slip", "out"], config)
+    drawn = env.task.scenario(env.config, 0).traffic.elements
+    assert drawn.count('<vehicle id="s') == pytest.approx(500, abs=70)  # three standard deviations
 
 
 def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:

@@ -104,12 +104,9 @@ def test_equal_in_random_states(task: str, changed: str, normalize: bool) -> Non
     assert len(seen) == 4
 
 
-ALONE = {
-    "vehicles_count": 0,
-    "initial_vehicle_count": 0,
-    "oncoming_vehicles_count": 0,
-    "spawn_probability": 0,
-}
+ALONE = dict.fromkeys(
+    ("vehicles_count", "initial_vehicle_count", "oncoming_vehicles_count", "spawn_probability"), 0
+)
 
 
 def configuration(task: str, rng: Random) -> dict[str, Any]:

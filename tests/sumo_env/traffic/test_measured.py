@@ -58,11 +58,11 @@ def distances(found: list[float], law: Normal) -> np.ndarray:
 
 @pytest.mark.parametrize("name", LAWS)
 def test_parameters_have_the_published_distribution(name: str) -> None:
-    values = [getattr(driver, name) for driver in pool("highway").drivers]
-    assert distances(values, LAWS[name]).max() < 1e-9
-    assert np.mean(values) == pytest.approx(LAWS[name].mean, rel=0.01)
+    values, law = [getattr(driver, name) for driver in pool("highway").drivers], LAWS[name]
+    assert distances(values, law).max() < 1e-9 and law.low <= min(values) <= max(values) <= law.high
+    assert np.mean(values) == pytest.approx(law.mean, rel=0.01)
     # the limits set 2 % of drivers at most, and 64 drivers have no tails
-    assert np.std(values) == pytest.approx(LAWS[name].deviation, rel=0.06)
+    assert np.std(values) == pytest.approx(law.deviation, rel=0.06)
 
 
 def test_parameters_are_independent() -> None:

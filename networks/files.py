@@ -21,7 +21,7 @@ from weakref import WeakValueDictionary
 from xml.etree import ElementTree
 
 from sumo_env.networks.lanes import Lane, Point, PolyLane
-from sumo_env.networks.mapping import Network, SumoLane, read_net, sumo_lanes_of
+from sumo_env.networks.mapping import Network, SumoLane, joints_of, read_net, sumo_lanes_of
 from sumo_env.networks.meeting import Meeting
 from sumo_env.networks.roads import LaneIndex, Road
 
@@ -162,15 +162,15 @@ def _read(path: Path) -> Network:
             own.setdefault(road_of(part), []).append(part)
         own.pop("", None)
         for name, parts in own.items():
-            gives_way = all(joint.getState() in MINOR for part in parts for joint in part.getOutgoing())
+            gives_way = all(joint.getState() in MINOR for part in parts for joint in joints_of(part))
             for number, part in enumerate(parts):
                 add(lane(name, number), [part])
                 lights = _lights(part)
-                if lights or (gives_way and part.getOutgoing()):
+                if lights or (gives_way and joints_of(part)):
                     stops[lane(name, number)] = lights
             joints: dict[str, int] = {}
             for part in parts:
-                for joint in part.getOutgoing():
+                for joint in joints_of(part):
                     after, inside = joint.getToLane(), joint.getViaLaneID()
                     goal = road_of(after)
                     if not goal:
@@ -203,7 +203,7 @@ def _drivers(ordinary: Iterable[SumoLane]) -> set[str]:
 
 def _lights(part: Any) -> tuple[tuple[str, int], ...]:
     """See `Road.stops`."""
-    joints = [joint for joint in part.getOutgoing() if joint.getTLSID()]
+    joints = [joint for joint in joints_of(part) if joint.getTLSID()]
     return tuple(sorted({(joint.getTLSID(), int(joint.getTLLinkIndex())) for joint in joints}))
 
 

@@ -24,6 +24,7 @@ from sumo_env.networks.roads import LaneIndex, Road
 FOLDER = Path(__file__).resolve().parent
 # [m] that a lane of SUMO's network may be beside highway-env's, and shorter at either end
 ASIDE, SHORT = 0.5, 1.5
+ON_FOOT = ("walkingarea", "crossing")  # edges inside junctions on which people walk
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,13 +226,19 @@ def read_net(net_file: Path) -> Any:
         return readNet(name if name.isprintable() else f"/dev/fd/{opened.fileno()}", withInternal=True)
 
 
+def joints_of(lane: Any) -> list[Any]:
+    """The connections of a lane of sumolib that begin and end where vehicles drive."""
+    edges = [(joint, (lane.getEdge(), joint.getToLane().getEdge())) for joint in lane.getOutgoing()]
+    return [joint for joint, ends in edges if not any(end.getFunction() in ON_FOOT for end in ends)]
+
+
 def sumo_lanes_of(net: Any) -> dict[str, SumoLane]:
     """All lanes of a network that sumolib has read, by their ids."""
     from sumolib.geomhelper import polyLength
 
     lanes = {lane.getID(): lane for edge in net.getEdges() for lane in edge.getLanes()}
     following = {
-        name: tuple(joint.getViaLaneID() or joint.getToLane().getID() for joint in lane.getOutgoing())
+        name: tuple(joint.getViaLaneID() or joint.getToLane().getID() for joint in joints_of(lane))
         for name, lane in lanes.items()
     }
     preceding: dict[str, list[str]] = {name: [] for name in lanes}

@@ -42,9 +42,7 @@ class Meeting:
         self._inside: dict[str, list[tuple[str, str]]] = {}  # see `inside`
         for start, found in lanes.items():
             for lane in () if start.startswith(":") else found.following:
-                passed: set[str] = set()  # people on foot can go round a junction
-                while lane.startswith(":") and lane not in passed:  # a long way is made of several lanes
-                    passed.add(lane)
+                while lane.startswith(":"):  # a long way is made of several lanes
                     before, lane = lane, next(iter(lanes[lane].following), "")
                     self._inside.setdefault(lane, []).append((before, edge_of(start)))
         self._together: dict[tuple[str, str, str], float] = {}  # see `_side_by_side`

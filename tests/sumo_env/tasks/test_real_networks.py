@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import random
+import re
 import shutil
 from pathlib import Path
 
@@ -77,6 +78,20 @@ def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Pa
         near = road.lanes_near(x, y, reach)
         beside = {index for index, lane in road.lanes.items() if lane.distance(x, y) <= reach}
         assert beside <= set(near) and len(near) < len(road.lanes)
+
+
+@pytest.mark.parametrize("rule", ["priority", "traffic_light"])
+def test_where_people_walk_through_junctions_nothing_changes_for_cars(tmp_path: Path, rule: str) -> None:
+    """On lanes of cars and people; walking areas and crossings may lead round a junction for ever."""
+    options = "--grid.number=3", "--grid.length=150", f"--default-junction-type={rule}"
+    cars = files.network(grid(tmp_path, *options)).road
+    shared = files.network(grid(tmp_path, *options, "--walkingareas", "--crossings.guess"))
+    assert shared.road.stops.keys() == cars.stops.keys() != set()
+    assert shared.road.lanes.keys() == cars.lanes.keys()
+    leads = {name: {*lane.following, *lane.preceding} for name, lane in shared.sumo_lanes.items()}
+    on_foot = {name for name in leads if re.match(r":.*_[cw]\d+_0", name)}
+    assert on_foot and not any(leads[name] for name in on_foot)
+    assert on_foot.isdisjoint(set().union(*leads.values()))
 
 
 def test_a_network_that_somebody_has_is_not_read_again(

@@ -154,6 +154,9 @@ class TestSlopes:
         row = find(slopes(arms), outcome="return", quantity="effect")
         assert row["estimate"] == pytest.approx(2.0, abs=0.2)  # in both traffics
         assert row["low"] > 0 and row["complete"]
+        means = [np.mean([arm["return"] for arm in pair.values()]) for pair in arms.values()]
+        level = find(slopes(arms), outcome="return", quantity="mean")
+        assert level["estimate"] == pytest.approx(np.polyfit([1, 2, 3], means, 1)[0])
 
     def test_over_some_of_the_levels_decides_nothing(self) -> None:
         found = slopes(agents(2, 8, np.random.default_rng(4), spread=0.1, growth=3.0))

@@ -121,6 +121,11 @@ class TestLearner:
         assert found.low < rise < found.high
         assert (found.low <= 1) == (rise == 1)
 
+    def test_a_crash_in_the_last_step_is_one_of_the_last_second(self) -> None:
+        """3.5 crashes in 2.5 s driven against 1.5 in 15 s, with half a crash added to both."""
+        times = pd.DataFrame({"cell": [0, 0, 1, 1], "crash_free_time": [9.5, 10.0, 10.0, 8.0]})
+        assert last_second(times.assign(seconds=10.0, crashed=1.0), 4.0).estimate == pytest.approx(14.0)
+
     def test_a_constant_rate_of_crashes_is_found_to_be_one(self) -> None:
         """Also where crashes are few."""
         random, inside, repeats = np.random.default_rng(3), 0, 300

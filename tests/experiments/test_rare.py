@@ -83,6 +83,7 @@ def test_break_even_drives_all_published_agents_of_both_arms(tmp_path: Path, mon
     ours = pd.read_csv(options.out / "agents.csv")
     # of each arm one agent twice, in scenarios of two numbers
     assert (ours.groupby("rate")["crashes_per_100_km_high"].nunique() == 2).all()
-    mean = ours[ours["agent"].str.contains("treatment")].groupby("rate")["crashes_per_episode"].mean()
-    np.testing.assert_allclose(table["treatment_per_episode"], mean, rtol=1e-4)
+    means = ours[ours["agent"].str.contains("treatment")].groupby("rate").mean(numeric_only=True)
+    for per in ("per_episode", "per_100_km"):
+        np.testing.assert_allclose(table[f"treatment_{per}"], means[f"crashes_{per}"], rtol=1e-4)
     assert "near-crashes" in rates(options.out)["figure"]

@@ -152,6 +152,15 @@ def test_wasserstein_distance_of_shifted_headways() -> None:
     assert np.isnan(checks.wasserstein(np.zeros(BINS), np.ones(BINS)))
 
 
+def test_the_interval_of_a_distance_is_that_of_a_mean_where_one_side_lies_above_the_other() -> None:
+    bins = np.random.default_rng(0).integers(4, 9, 200)
+    rows = [row("a", k, **histogram(bin_)) for k, bin_ in enumerate(bins)]
+    rows += [row("b", k, **histogram(20)) for k in range(200)]
+    found = checks.headway_distance(checks.pairs(pd.DataFrame(rows), "a", "b"))
+    low, high = checks.interval(BIN * (20.0 - bins))
+    assert found["high"] - found["low"] == pytest.approx(high - low, rel=0.1)
+
+
 def test_an_episode_is_the_same_if_it_ends_alike() -> None:
     values: dict[str, Any] = {"outcome": "time", "length": 20, "return": 12.0}
     rows = [row("a", k, **values) for k in range(4)]

@@ -133,10 +133,6 @@ class TestEffects:
 
 
 class TestMeans:
-    def test_its_variance_is_that_of_a_weighted_sum(self) -> None:
-        rows = contrasts(agents(3, 6, np.random.default_rng(5)), {PAIR: [("return", "risky")]})
-        assert means(rows)["se"].item() == pytest.approx(np.sqrt((rows["se"] ** 2).sum()) / 3)
-
     def test_the_careful_driver_is_compared_scenario_by_scenario(self, results, analysis) -> None:
         rows = results.episodes.query("task == 'highway' and level == 1 and traffic == 'risky'")
         crashed = rows["crashed"].astype(float)

@@ -277,11 +277,3 @@ def test_paces_weight_every_task_alike() -> None:
     rows = pd.DataFrame({**tasks, "crashed": [0.1, 0.3, 0.8], "progress": [10.0, 20.0, 30.0]})
     found = page.paces(rows.assign(arm="", policy="idle", traffic="risky"))
     assert found["idle"]["risky"] == pytest.approx({"crashed": 0.5, "progress": 22.5})
-
-
-def test_pairs_are_shown_in_the_lightest_settings() -> None:
-    places = pd.DataFrame({"arm": ["control", "pair"]}).merge(pd.DataFrame({"level": [1, 2]}), "cross")
-    rows = places.assign(backend="sumo", task="u-turn", traffic="risky", mean_speed=9.0)
-    policies = rows.assign(crashed=0.1 * rows["level"])
-    found: Any = tables.pairs(SimpleNamespace(policies=policies), "sumo")  # type: ignore[arg-type]
-    assert found["crashes in risky traffic"].tolist() == ["10.0 %", "10.0 %"]

@@ -91,6 +91,10 @@ def test_a_published_pair_takes_the_more_careful_of_its_agents_actions() -> None
                 one.reset()
             while not over:
                 apart = [agent.act(observation[:, : env.observation_space.shape[1]]) for agent in agents]
+                both = zip(pair._agents, agents, strict=True)
+                assert all(
+                    (one.q(observation[:, :-1]) == alone.q(observation[:, :-1])).all() for one, alone in both
+                )
                 action = pair.act(observation)
                 assert names[action] == min((names[one] for one in apart), key=careful.index)
                 differ += apart[0] != apart[1]

@@ -103,7 +103,9 @@ def test_of_several_agents_that_of_the_lowest_seed_is_published(monkeypatch, tmp
     file, kept = tmp_path / "agents.npz", dict[str, Any]()
     monkeypatch.setattr(publish, "Store", lambda _: here)
     monkeypatch.setattr(publish, "published", lambda _, name, __: ({"risky": {"crash_rate": name}}, name))
-    monkeypatch.setattr(publish.pretrained, "save", lambda found, _: (kept.update(found), file.touch()))
+    monkeypatch.setattr(
+        publish.pretrained, "save", lambda found, _: (kept.update(found), file.write_bytes(b""))
+    )
     publish.main(tmp_path, file)
     assert {label: name for label, (_, name) in kept.items()} == {
         "u-turn-12/control": "12-9", "u-turn-3/control": "3-9", "u-turn-3/control-s10": "3-10"

@@ -150,7 +150,7 @@ def test_a_distance_and_its_interval_are_of_a_mean_where_one_side_lies_above_the
     rows = [row("a", k, **histogram(bin_)) for k, bin_ in enumerate(bins)]
     rows += [row("b", k, **histogram(20)) for k in range(200)]
     found = checks.headway_distance(checks.pairs(pd.DataFrame(rows), "a", "b"))
-    low, high = checks.interval(BIN * (20.0 - bins))
+    low, high = checks.interval((BIN * (20.0 - bins)).astype(np.float64))
     assert found["difference"] == pytest.approx((low + high) / 2)
     assert found["high"] - found["low"] == pytest.approx(high - low, rel=0.1)
     assert np.isnan(checks.wasserstein(np.zeros(BINS), np.ones(BINS)))

@@ -40,6 +40,7 @@ class TestFeatures:
         """Two cars at 20 m/s, one of which goes 3 m to the left; their rows change places."""
         _, vehicles = read(scene((30, 0, 20), (50, 4, 20)), scene((45, 1, 20), (25, 0, 20)))
         assert vehicles[:2, -1].tolist() == [1, 1]  # known
+        np.testing.assert_allclose(vehicles[:2, 1:3] * 50, [[45, 1], [25, 0]], atol=1e-3)
         np.testing.assert_allclose(vehicles[:2, -2] * 3, [-3, 0], atol=1e-3)
 
     def test_at_first_sight_nothing_is_known_of_a_vehicle(self) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.rules import CAUTIONS, make_policy
-from agents.rules.careful import FUTURE, _drive
+from agents.rules.careful import FUTURE, _as_if_turning, _drive
 from agents.rules.perception import Perception
 from experiments.backends import make_env
 from experiments.study.compute.evaluate import drives, evaluate
@@ -91,6 +91,12 @@ def test_more_caution_slows_down_farther_behind_a_leader() -> None:
     assert distances == sorted(distances) and distances[0] < distances[2] < distances[-1]
 
 
+def test_oncoming_cars_on_the_left_count_as_nearer_to_an_ego_that_may_turn() -> None:
+    places = np.array([[10.0, -4.0], [10.0, -1.0], [40.0, -4.0]])
+    view: Any = SimpleNamespace(positions=places, headings=np.full(3, np.pi))
+    assert _as_if_turning(view).tolist() == [[10.0, -2.0], [10.0, 0.0], [40.0, -4.0]]
+
+
 def test_who_brakes_is_thought_to_brake_for_two_seconds_or_to_a_standstill() -> None:
     """And no harder than by 6 m/s2."""
     view: Any = SimpleNamespace(speeds=np.array([10.0, 10.0, 4.0]), acceleration=np.array([1.0, -4.0, -9.0]))
@@ -110,6 +116,7 @@ def test_who_brakes_is_thought_to_brake_for_two_seconds_or_to_a_standstill() -> 
         (scene(SLOW), "SLOWER"),  # no lane is known
         (scene(SLOW, FAR, (-8, -4, 30)), "SLOWER"),  # the new follower would brake hard
         (scene(FAR), "FASTER"),  # nothing to gain
+        (scene((100, 0, -20)), "SLOWER"),  # oncoming
     ],
 )
 def test_idm_keeps_its_distance_and_changes_lane_by_mobil(seen: np.ndarray, expected: str) -> None:
@@ -144,6 +151,8 @@ def test_idm_follows_a_leader_round_a_bend() -> None:
     perception = Perception(road())  # an ego on the bend keeps its lane
     *_, sideways = (perception.look(seen(time, [])).sideways for time in (0.0, 1.0, 2.0))
     assert sideways == pytest.approx(0.0, abs=0.1)
+    *_, other = (perception.look(seen(time, [(30 + 2 * time, 0, 0)])) for time in (3.0, 4.0))
+    assert other.known.all() and other.turning.tolist() == [0.0]  # it goes straight, while the ego turns
 
 
 @pytest.mark.slow

@@ -104,6 +104,7 @@ def test_goals_beyond_what_rewards_allow_are_clipped_and_counted() -> None:
     for agent.updates, agent.clipped in ((10, 16), (14, 24)):
         watched.watch()
     size = config.batch_size
+    assert watched.trained().record["q_bound"] == pytest.approx(50.0)  # of the least reward
     assert watched.goals_clipped == [[10, 16 / (10 * size)], [14, 8 / (4 * size)]]  # since the row before
 
 

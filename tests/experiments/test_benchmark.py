@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from experiments import benchmark
-from experiments.benchmark import Driver, Options, ratios, run
+from experiments.benchmark import REFERENCE_CONFIG, Driver, Options, ratios, run
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:
@@ -52,6 +52,7 @@ class Given(nullcontext):
         super().__init__(self)
 
     def Driver(self, backend: str, task: str, config: Any = None, batch: int = 1, threads: int = 1) -> Given:
+        assert backend != "highway-env" or config is None or REFERENCE_CONFIG.items() <= config.items()
         self.rates = self.RATES[backend] * batch, self.RATES[backend] * batch * threads
         return self
 

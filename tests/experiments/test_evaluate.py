@@ -81,8 +81,9 @@ def test_another_set_says_so_and_enters_no_table(short: Path, tmp_path: Path, mo
 def test_a_published_pair_takes_the_more_careful_of_its_agents_actions() -> None:
     """The agents observe the time: apart they count it, together the environment shows it."""
     with closing(gym.make("sumo_env:sumo/u-turn-v0", config={"risk": 1.0})) as env:
-        seen, pair = entrants("u-turn-3/more-careful")["u-turn", "3"].make(env)
-        agents = [entrants(f"u-turn-3/{arm}")["u-turn", "3"].make(env)[1] for arm in ARMS]
+        made: Any = entrants("u-turn-3/more-careful")["u-turn", "3"].make(env)
+        seen, pair = made
+        agents: list[Any] = [entrants(f"u-turn-3/{arm}")["u-turn", "3"].make(env)[1] for arm in ARMS]
         careful = ["SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT"]
         names, differ = env.unwrapped.actions, 0  # type: ignore[attr-defined]
         for seed in range(3):
@@ -91,6 +92,10 @@ def test_a_published_pair_takes_the_more_careful_of_its_agents_actions() -> None
                 one.reset()
             while not over:
                 apart = [agent.act(observation[:, : env.observation_space.shape[1]]) for agent in agents]
+                values = [
+                    [one.q(observation[:, :-1]).tolist() for one in who] for who in (pair._agents, agents)
+                ]
+                assert values[0] == values[1]  # the control agent is the first
                 action = pair.act(observation)
                 assert names[action] == min((names[one] for one in apart), key=careful.index)
                 differ += apart[0] != apart[1]

@@ -99,6 +99,17 @@ def test_regular_traffic_moves_as_in_stock_highway_env(task: str, variant: str) 
             break
 
 
+def test_the_ego_has_crashed_with_a_wreck_though_another_car_is_nearer() -> None:
+    env = make("highway")
+    env.reset(seed=0)
+    ego, near, wreck = env.road.vehicles[:3]
+    near.position, wreck.position = (ego.position + np.array([gap, 0.0]) for gap in (6.0, 9.0))
+    ego.crashed = wreck.crashed = True
+    env.scene = env._scene()
+    env._measure()
+    assert env.crash and env.crash.other == wreck.id
+
+
 def on_u_turn(env: ScenarioEnv, lane: tuple[str, str, int], s: float, speed: float) -> PathVehicle:
     vehicle = PathVehicle.make_on_lane(env.road, lane, s, speed)
     vehicle.plan_route_to("d")

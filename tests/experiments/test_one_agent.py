@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
@@ -89,6 +91,25 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
         watch.watch(watch.Options(trained, agent="treatment"))
     with pytest.raises(UserError, match="no trained agent"):
         watch.watch(watch.Options(tmp_path))
+
+
+def test_of_several_agents_that_of_the_lowest_seed_is_published(monkeypatch, tmp_path: Path) -> None:
+    """And in the lightest setting all."""
+    key, places = {"backend": "sumo", "task": "u-turn", "arm": "control"}, product(("3", "12"), (9, 10))
+    cells = {f"{name}-{k}": {"key": {**key, "level_name": name, "seed": k}} for name, k in places}
+    here: Any = SimpleNamespace(
+        agents=lambda: cells, weights=str, sweeps=lambda: [{"command": "", "cells": cells}]
+    )
+    file, kept = tmp_path / "agents.npz", dict[str, Any]()
+    monkeypatch.setattr(publish, "Store", lambda _: here)
+    monkeypatch.setattr(publish, "published", lambda _, name, __: ({"risky": {"crash_rate": name}}, name))
+    monkeypatch.setattr(
+        publish.pretrained, "save", lambda found, _: (kept.update(found), file.write_bytes(b""))
+    )
+    publish.main(tmp_path, file)
+    assert {label: name for label, (_, name) in kept.items()} == {
+        "u-turn-12/control": "12-9", "u-turn-3/control": "3-9", "u-turn-3/control-s10": "3-10"
+    }  # fmt: skip
 
 
 def test_an_agent_can_be_published_and_loaded(tmp_path: Path) -> None:

@@ -37,6 +37,10 @@ def test_a_curve_is_written_and_the_command_goes_on_where_it_was_stopped(tmp_pat
     assert found["curve"][1]["events_per_hour"] == pytest.approx(1080.0)  # the u-turn's 0.3 events a second
     assert pd.read_csv(tmp_path / "curve.csv")["claim"].tolist() == [row["claim"] for row in found["curve"]]
     assert "<svg" in (tmp_path / "curve.svg").read_text() and "Crashes without an event" in said
+    driven = pd.concat(pd.read_parquet(path) for path in files)
+    for events, rate in (("near", "level"), ("other", "base")):  # as many as are expected, but for chance
+        expected = (driven[rate] * driven[f"{events}_expected"]).sum()
+        assert abs(driven[events].sum() - expected) < 4 * expected**0.5 < expected
     next(iter(files)).write_bytes(b"damaged")
     assert rare.rare(options, ["slower"]) == 0
     assert read_json(tmp_path / "curve.json")["curve"] == found["curve"]
@@ -83,6 +87,7 @@ def test_break_even_drives_all_published_agents_of_both_arms(tmp_path: Path, mon
     ours = pd.read_csv(options.out / "agents.csv")
     # of each arm one agent twice, in scenarios of two numbers
     assert (ours.groupby("rate")["crashes_per_100_km_high"].nunique() == 2).all()
-    mean = ours[ours["agent"].str.contains("treatment")].groupby("rate")["crashes_per_episode"].mean()
-    np.testing.assert_allclose(table["treatment_per_episode"], mean, rtol=1e-4)
+    means = ours[ours["agent"].str.contains("treatment")].groupby("rate").mean(numeric_only=True)
+    for per in ("per_episode", "per_100_km"):
+        np.testing.assert_allclose(table[f"treatment_{per}"], means[f"crashes_{per}"], rtol=1e-4)
     assert "near-crashes" in rates(options.out)["figure"]

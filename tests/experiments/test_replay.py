@@ -90,6 +90,7 @@ def test_a_further_test_is_replayed_on_its_own_simulator_and_in_its_own_traffic(
         path = tmp_path / "cells" / case
         assert replay(Options(str(path), out=tmp_path / "film.gif"), by_backend) == 0
         assert "reproduced" in capsys.readouterr().out
+    assert changed_versions(parse_case(f"{tmp_path}/cells/{away.name}:risky:2").record) == []
     with pytest.raises(UserError, match="unknown traffic 'risky': known are dose25, dose50, dose75"):
         parse_case(f"{tmp_path / 'cells' / doses.name}:risky:1")
     with pytest.raises(UserError, match="a case is DIR/cells"):

@@ -17,7 +17,7 @@ from experiments.study.design.fingerprint import dynamics
 from experiments.validate import MISSED, Options, tables, validate
 from experiments.validation.checks import REFERENCE, SUMO
 from experiments.validation.episodes import Engine
-from tests.experiments.validation.tables import episodes
+from tests.experiments.validation.tables import compared, episodes
 
 
 def responses(engine: str, careful: tuple[float, float, float]) -> pd.DataFrame:
@@ -45,6 +45,22 @@ def responses(engine: str, careful: tuple[float, float, float]) -> pd.DataFrame:
 def test_a_dose_does_what_it_shall(sumo, reference, good) -> None:
     table = pd.concat([responses("sumo", sumo), responses(REFERENCE, reference)])
     assert (calibrate.dose_distance(table, "u-turn") < 0.01) is good
+
+
+def test_sumo_is_as_far_away_above_the_reference_as_below_it() -> None:
+    table = compared()
+    sides = [table["return"] + step * (table["engine"] == SUMO) for step in (0.5, -0.5, 0.0)]
+    above, below, same = (
+        calibrate.drivers_distance(table.assign(**{"return": side}), "u-turn") for side in sides
+    )
+    assert above == pytest.approx(below) and same == 0.0 < below
+
+
+def test_settings_are_judged_on_other_scenarios_than_those_they_are_fitted_on(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(calibrate.episodes, "run", lambda parts, *_: [part.scenarios[0] for part in parts])
+    monkeypatch.setattr(calibrate, "drivers_distance", lambda firsts, task: float(min(firsts)))
+    found = calibrate.search(calibrate.Options(tmp_path, trials=1, scenarios=5), "drivers", "u-turn")
+    assert found and [(own["training"], own["judged"]) for own in found.values()] == [(1000.0, 0.0)] * 2
 
 
 @pytest.mark.slow

@@ -133,10 +133,6 @@ class TestEffects:
 
 
 class TestMeans:
-    def test_its_variance_is_that_of_a_weighted_sum(self) -> None:
-        rows = contrasts(agents(3, 6, np.random.default_rng(5)), {PAIR: [("return", "risky")]})
-        assert means(rows)["se"].item() == pytest.approx(np.sqrt((rows["se"] ** 2).sum()) / 3)
-
     def test_the_careful_driver_is_compared_scenario_by_scenario(self, results, analysis) -> None:
         rows = results.episodes.query("task == 'highway' and level == 1 and traffic == 'risky'")
         crashed = rows["crashed"].astype(float)
@@ -154,6 +150,9 @@ class TestSlopes:
         row = find(slopes(arms), outcome="return", quantity="effect")
         assert row["estimate"] == pytest.approx(2.0, abs=0.2)  # in both traffics
         assert row["low"] > 0 and row["complete"]
+        means = [np.mean([arm["return"] for arm in pair.values()]) for pair in arms.values()]
+        level = find(slopes(arms), outcome="return", quantity="mean")
+        assert level["estimate"] == pytest.approx(np.polyfit([1, 2, 3], means, 1)[0])
 
     def test_over_some_of_the_levels_decides_nothing(self) -> None:
         found = slopes(agents(2, 8, np.random.default_rng(4), spread=0.1, growth=3.0))

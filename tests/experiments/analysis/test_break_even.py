@@ -25,9 +25,11 @@ def arm(floor: float, slope: float, spread: float = 0.01) -> list[pd.DataFrame]:
 
 
 def test_the_curves_cross_where_they_are_known_to() -> None:
-    """0.01 + 0.5 r and 0.02 + 0.1 r are equal at 0.025."""
+    """0.01 + 0.5 r and 0.02 + 0.1 r are equal at 0.025; the rate is interpolated on its logarithm."""
     found = break_even(compared({"control": arm(0.01, 0.5), "treatment": arm(0.02, 0.1)}))
-    assert found.low <= 0.025 <= found.high and found.low < found.rate < found.high
+    assert found.low <= 0.025 <= found.high
+    # the differences of the arms at the rates between which it lies are .006 and -.03
+    assert found.rate == pytest.approx(0.01 * 10 ** (0.006 / 0.036))
     assert found.less == (0.1, 1.0) and found.more[0] == 1e-3
     assert break_even_words(found, 1000.0, RATES).startswith("treated agents crash in fewer episodes above")
     swapped = break_even(compared({"control": arm(0.02, 0.1), "treatment": arm(0.01, 0.5)}))

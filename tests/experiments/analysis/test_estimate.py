@@ -153,7 +153,7 @@ def test_the_distance_is_the_crash_rate_above_the_line_between_two_drivers() -> 
         episodes("slower", "baseline", None, 4.0, [False] * 4),
         episodes("careful-4", "baseline", None, 8.0, [True] * 4),
         episodes("idle", "baseline", None, 6.0, [True] * 4),  # above the line between the others
-        episodes("planner", "baseline", None, 6.0, [False] * 4),  # of the user's own: no part of the frontier
+        *(episodes(name, "baseline", None, 6.0, [False] * 4) for name in ("planner", "idm")),  # no part of it
     ]
     agents = [
         episodes("a", "agent", "control", 6.0, [True, True, True, False]),  # .75 where the line is at .5

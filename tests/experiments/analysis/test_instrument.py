@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from experiments.analysis.analysis import placebo
 from experiments.analysis.scores import Arms, Setting
@@ -83,4 +84,5 @@ def test_the_placebo_rejects_in_about_five_percent_whatever_the_effect() -> None
     for record in placebo(drawn(pairs)).to_dict("records"):
         assert record["comparisons"] == 100
         assert record["rejected"] / 100 < bound(0.05, 100)
-        assert record["p"] > 1e-4
+        expected = stats.binomtest(record["rejected"], 100, 0.05, alternative="greater")
+        assert record["p"] == pytest.approx(expected.pvalue) and expected.pvalue > 1e-4

@@ -120,6 +120,8 @@ class TestQuestions:
         assert row.estimate == pytest.approx(tasks["estimate"].mean())
         assert row.high == pytest.approx(row.estimate + stats.t.ppf(0.95, dof) * variance**0.5)
         assert row.low == pytest.approx(row.estimate - stats.t.ppf(0.95, dof) * variance**0.5)
+        power = stats.nct.sf(stats.t.ppf(0.95, dof), dof, row.detectable / variance**0.5)
+        assert power == pytest.approx(0.8, abs=1e-3)
 
     @pytest.mark.parametrize(
         ("light", "dense", "verdicts"),

@@ -109,17 +109,20 @@ class TestLearner:
         assert found.estimate == pytest.approx(0.2, abs=0.002)
         assert found.low < 0.2 < found.high < 0.21
 
-    @pytest.mark.parametrize("rise", [1.0, 4.0])
-    def test_crashes_of_the_last_second_are_held_against_those_before(self, rise: float) -> None:
-        random, hazard, seconds = np.random.default_rng(2), 0.02, 10.0
+    def test_crashes_of_the_last_second_are_held_against_those_before(self) -> None:
+        random, hazard, rise, seconds = np.random.default_rng(2), 0.02, 4.0, 10.0
         agents, drives = 15, 400
         first = random.exponential(1 / hazard, (agents, drives))
         last = seconds - 1 + random.exponential(1 / (rise * hazard), (agents, drives))
         time = np.where(first < seconds - 1, first, last).ravel()
         table = pd.DataFrame({"crash_free_time": time.clip(max=seconds), "crashed": (time < seconds) * 1.0})
         found = last_second(table.assign(seconds=seconds, cell=np.repeat(range(agents), drives)), 4.0)
-        assert found.low < rise < found.high
-        assert (found.low <= 1) == (rise == 1)
+        assert 1 < found.low < rise < found.high
+
+    def test_a_crash_in_the_last_step_is_one_of_the_last_second(self) -> None:
+        """3.5 crashes in 2.5 s driven against 1.5 in 15 s, with half a crash added to both."""
+        times = pd.DataFrame({"cell": [0, 0, 1, 1], "crash_free_time": [9.5, 10.0, 10.0, 8.0]})
+        assert last_second(times.assign(seconds=10.0, crashed=1.0), 4.0).estimate == pytest.approx(14.0)
 
     def test_a_constant_rate_of_crashes_is_found_to_be_one(self) -> None:
         """Also where crashes are few."""

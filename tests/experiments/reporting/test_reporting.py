@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
+import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.axes import Axes
+from scipy import stats
 
 from experiments.analysis.by_task import COLUMNS
 from experiments.reporting import by_task, figures, page, tables
@@ -146,6 +150,29 @@ def test_what_is_asked_of_the_learner_stands_beside_what_was_found() -> None:
     ]
 
 
+def test_a_comparison_leads_from_who_is_compared_with_to_the_arm() -> None:
+    row = {"outcome": "crashed", "term": "risky", "mean_against": 0.03, "mean_arm": 0.2, "status": "ok"}
+    shown = tables.rates({**row, "estimate": 0.17, "low": 0.1, "high": 0.24})
+    assert shown == {"crashes in risky traffic": "3.0 % → 20.0 %", "difference": "+17.0 [+10.0, +24.0]"}
+
+
+def test_crashes_in_unseen_traffic_have_their_error_and_closing_speed() -> None:
+    values = {"crashed": 0.1, "crashed se": 0.02, "crash_closing_speed": 8.0, "mean_speed": 20.0}
+    traffics = pd.DataFrame({"traffic": ["regular", "risky", "krauss"]})
+    policies = traffics.assign(**SETTING, **values, arm="control")
+    table = tables.unseen(analysis(policies=policies), "sumo")
+    assert table.to_numpy().tolist() == [
+        ["u-turn 3", traffic, "10.0 % ± 2.0, 8.0 m/s"] for traffic in ("risky", "krauss")
+    ]
+
+
+def test_a_setting_is_on_a_side_by_its_adjusted_p() -> None:
+    rows = [("risky", -0.1, 0.01, 0.18), ("regular", 0.2, 0.001, 0.018)]
+    single = pd.DataFrame(rows, columns=["term", "estimate", "p", "p_adjusted"]).assign(**SETTING)
+    nobody: dict[str, list[str]] = {traffic: [] for traffic in TRAFFICS}
+    assert page.sides(single) == {"fewer": nobody, "more": {**nobody, "regular": ["u-turn 3"]}}
+
+
 def test_gates_count_who_passes_and_name_what_the_others_fail() -> None:
     """An agent of which a gate could not be checked has not failed."""
     rows = [(True, ""), (None, ""), (False, "not_constant beats_constant"), (False, "beats_constant")]
@@ -174,51 +201,64 @@ def test_the_frontier_table_has_a_row_an_arm_and_says_how_many_agents_are_compar
     assert treatment == ["u-turn 3", "treatment", "–", "0 of 5", "", ""]
 
 
-def test_bars_over_the_traffic_levels_are_95_percent_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[tuple[float, float]] = []
+def drawn(method: str, figure: Callable[..., str], shown: Any) -> list[Any]:
+    """The arguments of a method of the axes, call by call, while a figure is drawn."""
+    with patch.object(Axes, method) as calls:
+        figure(shown, "sumo")
+    return calls.call_args_list
 
-    def errorbar(self: Axes, x: Any, y: Any, half: Any, **style: Any) -> None:
-        drawn.extend(zip(y, half, strict=True))
 
-    monkeypatch.setattr(Axes, "errorbar", errorbar)
-    means = {("control", "regular"): 0.5, ("control", "risky"): 0.3, ("treatment", "regular"): 0.4}
-    place = {"task": "u-turn", "level": 1, "level_name": "3", "policy": "dqn"}
-    figures.against_traffic(
-        pd.DataFrame(
-            [
-                {**place, "arm": arm, "traffic": traffic, "n": 5, "crashed": mean, "crashed se": 0.1}
-                for (arm, traffic), mean in means.items()
-            ]
-        ),
-        "sumo",
-    )
-    assert sorted(mean for mean, _ in drawn) == [0.3, 0.4, 0.5]
+def test_bars_over_the_traffic_levels_are_95_percent_intervals() -> None:
+    means = [("control", "regular", 0.5), ("control", "risky", 0.3), ("treatment", "regular", 0.4)]
+    rows = pd.DataFrame(means, columns=["arm", "traffic", "crashed"]).assign(**SETTING, policy="dqn", n=5)
+    calls = drawn("errorbar", figures.against_traffic, rows.assign(**{"crashed se": 0.1}))
+    bars = [bar for call in calls for bar in zip(*call.args[1:], strict=True)]
     # t with 4 degrees of freedom
-    assert [half for _, half in drawn] == pytest.approx([0.2776] * 3, abs=1e-4)
+    assert sorted(bars) == [pytest.approx((mean, 0.2776), abs=1e-4) for mean in (0.3, 0.4, 0.5)]
 
 
-def test_the_line_under_the_policies_is_the_frontier_of_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
-    lines: list[list[tuple[float, float]]] = []
+def test_the_lines_of_effects_are_intervals_at_the_level_of_the_family() -> None:
+    ends = {"low": -0.2, "high": -0.1, "low_family": -0.3, "high_family": 0.0, "p_adjusted": 0.05}
+    effects = pd.DataFrame([{**SETTING, "outcome": "crashed", "term": "risky", "estimate": -0.15, **ends}])
+    assert drawn("plot", figures.effects_by_setting, effects)[0].args[0] == [-0.3, 0.0]
 
-    def plot(self: Axes, x: Any, y: Any, *_: Any, **style: Any) -> None:
-        if "lw" in style:
-            lines.append(list(zip(x, y, strict=True)))
 
-    monkeypatch.setattr(Axes, "plot", plot)
+def test_bands_over_the_seconds_are_95_percent_intervals_over_agents() -> None:
+    crashes = np.array([1, 2, 1, 2, 1])  # of four drives of each agent, all in the first second
+    drives = pd.DataFrame({"cell": np.arange(20) // 4, "crashed": np.arange(20) % 4 < np.repeat(crashes, 4)})
+    place = {**SETTING, "arm": "control", "traffic": "risky", "crash_free_time": 0.5}
+    [band] = drawn(
+        "fill_between", figures.crashes_by_second, drives.assign(**place).astype({"crashed": float})
+    )
+    expected = stats.t.interval(0.95, 4, (crashes / 4).mean(), stats.sem(crashes / 4))
+    assert [limit.item() for limit in band.args[1:]] == pytest.approx(expected)
+
+
+def test_learning_curves_are_of_the_lightest_level() -> None:
+    cells = {
+        level: {
+            "key": {**SETTING, "arm": "control", "level": level},
+            "learner": {"curve": {"step": [10, 20], "return": [level, 5.0], "crashed": [0.5, 0.25]}},
+        }
+        for level in (1, 2)
+    }
+    lines = [[*call.args[1]] for call in drawn("plot", figures.learning_curves, cells)]
+    assert lines == [[1.0, 5.0], [0.5, 0.25]]
+
+
+def test_the_line_under_the_policies_is_the_frontier_of_the_analysis() -> None:
     places = {
         "slower": (5.0, 0.1),
         "idle": (9.0, 0.3),
-        "faster": (12.0, 0.5),
-        "careful": (8.0, 0.35),  # above the line between the others
         "idm": (9.0, 0.2),  # below it, but not of the frontier, as a policy of the user's own
         "mine.py:Mine": (9.0, 0.0),
     }
-    rows = [
-        {"task": "u-turn", "traffic": "risky", "policy": policy, "arm": "", "progress": x, "crashed": y}
-        for policy, (x, y) in places.items()
-    ]
-    figures.crashes_against_progress(pd.DataFrame(rows), "sumo")
-    assert [line for line in lines if line] == [[(5.0, 0.1), (9.0, 0.3), (12.0, 0.5)]]
+    rows = pd.DataFrame(places, index=["progress", "crashed"]).T.rename_axis("policy").reset_index()
+    calls = drawn(
+        "plot", figures.crashes_against_progress, rows.assign(task="u-turn", traffic="risky", arm="")
+    )
+    lines = [list(zip(*call.args[:2], strict=True)) for call in calls if "lw" in call.kwargs]
+    assert [line for line in lines if line] == [[(5.0, 0.1), (9.0, 0.3)]]
 
 
 def test_the_hazard_is_the_share_of_the_drives_still_on_the_road_that_crashes() -> None:
@@ -237,11 +277,3 @@ def test_paces_weight_every_task_alike() -> None:
     rows = pd.DataFrame({**tasks, "crashed": [0.1, 0.3, 0.8], "progress": [10.0, 20.0, 30.0]})
     found = page.paces(rows.assign(arm="", policy="idle", traffic="risky"))
     assert found["idle"]["risky"] == pytest.approx({"crashed": 0.5, "progress": 22.5})
-
-
-def test_pairs_are_shown_in_the_lightest_settings() -> None:
-    places = pd.DataFrame({"arm": ["control", "pair"]}).merge(pd.DataFrame({"level": [1, 2]}), "cross")
-    rows = places.assign(backend="sumo", task="u-turn", traffic="risky", mean_speed=9.0)
-    policies = rows.assign(crashed=0.1 * rows["level"])
-    found: Any = tables.pairs(SimpleNamespace(policies=policies), "sumo")  # type: ignore[arg-type]
-    assert found["crashes in risky traffic"].tolist() == ["10.0 %", "10.0 %"]

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from agents.rules.constant import Constant
@@ -73,11 +73,13 @@ def survives(grid: Grid, actions: tuple[int, ...]) -> bool:
     return True
 
 
+BRAKING = frozenset({(1, 1, 0), (1, 0, 1), (1, 2, 1), (1, 1, 2), (2, 1, 2)})  # IDLE, then SLOWER alone
 walls = st.frozensets(st.tuples(st.integers(1, 5), st.integers(0, 2), st.integers(0, 9)), max_size=120)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(walls=walls, ends=st.integers(3, 7), horizon=st.integers(1, 5))
+@example(walls=BRAKING, ends=7, horizon=1)
 def test_it_finds_a_way_where_one_of_all_sequences_is_one(walls, ends, horizon) -> None:
     """Compared with every sequence, driven from the start: free ones up to the horizon, then one action repeated."""
     grid = Grid(walls, ends)

@@ -54,7 +54,7 @@ def test_further_arms_tests_and_policies_rename_nothing():
     assert tested == [set(DOSE_ARMS), *[set(EVERY_ARM)] * 3]
     unseen = {tuple(c.test_on["traffics"]) for c in tests if c.slug.endswith("-unseen")}
     assert unseen == {unseen_traffics("highway")}
-    assert all(c.budget == (0, 0) for c in tests)
+    assert all(c.budget == (0, 0) and c.tested["episodes"] == 5 for c in tests)
     assert all(c.tested.get("dynamics", c.dynamics) == known_dynamics(c.runs_on, c.task) for c in tests)
     assert "highway-env" in next(c for c in tests if c.runs_on == "highway-env").versions
     for c in (*more, *cells(learner="sb3-dqn", test_on=("replica",))):
@@ -78,8 +78,10 @@ def test_the_name_follows_everything_that_changes_the_result_and_no_label():
     other = cells(settings=("gamma=0.99",))
     assert other[0].name != cell.name and other[-1].name == baseline.name
     assert replace(cell, eval={"episodes": 6}).name != cell.name
-    changed = cells(backend="replica", config=("risk_law=linear", "duration=7", "collision_reward=-2"))
-    assert {(c.env_config["risk_law"], c.env_config["duration"]) for c in changed} == {("linear", 7)}
+    changed = cells(backend="replica", config=("risk_law=linear", "duration=7", "variant=v0"))
+    assert {tuple(c.env_config[name] for name in ("risk_law", "duration", "variant")) for c in changed} == {
+        ("linear", 7, "v0")
+    }
     assert not {c.name for c in changed} & {c.name for c in cells(backend="replica")}
 
 

@@ -66,6 +66,7 @@ ROWS: list[tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = [
     (lambda t: t.iloc[:0], "0 rows"),
     (lambda t: t[t["scenario"] % 2 == 0], "scenario 1"),
     (lambda t: pd.concat([t, t]), "scenario 0"),
+    (lambda t: pd.concat([t, t.assign(scenario=t["scenario"] + 50)]), "scenario 50"),
     (lambda t: t.assign(traffic="storm"), "scenario 0"),
 ]
 

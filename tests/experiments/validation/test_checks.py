@@ -145,10 +145,14 @@ def histogram(bin_: int) -> dict[str, Any]:
     return {name: 3 * (number == bin_) for number, name in enumerate(HEADWAYS)}
 
 
-def test_wasserstein_distance_of_shifted_headways() -> None:
-    rows = [row(engine, k, **histogram(bin_)) for engine, bin_ in (("a", 4), ("b", 10)) for k in range(4)]
+def test_a_distance_and_its_interval_are_of_a_mean_where_one_side_lies_above_the_other() -> None:
+    bins = np.random.default_rng(0).integers(4, 9, 200)
+    rows = [row("a", k, **histogram(bin_)) for k, bin_ in enumerate(bins)]
+    rows += [row("b", k, **histogram(20)) for k in range(200)]
     found = checks.headway_distance(checks.pairs(pd.DataFrame(rows), "a", "b"))
-    assert [found[name] for name in ("difference", "low", "high")] == pytest.approx([6 * BIN] * 3)
+    low, high = checks.interval((BIN * (20.0 - bins)).astype(np.float64))
+    assert found["difference"] == pytest.approx((low + high) / 2)
+    assert found["high"] - found["low"] == pytest.approx(high - low, rel=0.1)
     assert np.isnan(checks.wasserstein(np.zeros(BINS), np.ones(BINS)))
 
 

@@ -59,12 +59,15 @@ def test_other_dynamics_or_settings_are_other_files(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_traffic_is_that_of_the_others_near_the_ego() -> None:
-    """Of two cars that are followed for half a second one changes lane: a change in a 60th of a vehicle-minute."""
-    x, speed, nothing = np.array([0.0, 20.0, 50.0, 300.0]), np.array([40.0, 10.0, 20.0, 5.0]), np.zeros(4)
-    ids, moved = ("ego", "a", "b", "far"), [np.array([0.0, y, 4.0, 0.0]) for y in (0.0, 4.0)]
-    scenes = [Scene(ids, x, y, speed, nothing, nothing > 0, 0.5 * k) for k, y in enumerate(moved)]
+    """Of two cars that are followed for half a second one changes lane: a change in a 60th of a vehicle-minute.
+
+    A wreck is in the way, but does not drive.
+    """
+    x, speed = np.array([0.0, 20.0, 50.0, 300.0, 90.0]), np.array([40.0, 10.0, 20.0, 5.0, 0.0])
+    ids, moved = ("ego", "a", "b", "far", "wreck"), [np.array([0.0, y, 4.0, 0.0, 0.0]) for y in (0.0, 4.0)]
+    scenes = [Scene(ids, x, y, speed, 0 * x, x == 90.0, 0.5 * k) for k, y in enumerate(moved)]
     found = episodes.traffic_near(scenes, "highway", highway(), 0.5)
-    assert (found["traffic_speed"], found["density"]) == (15.0, 2.0)
+    assert (found["traffic_speed"], found["density"]) == (15.0, 3.0)
     assert found["lane_changes"] == pytest.approx(60.0)
 
 

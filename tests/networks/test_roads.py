@@ -165,6 +165,8 @@ def test_a_lane_of_pieces_is_measured_as_shapely_does() -> None:
         points = np.concatenate([np.zeros((1, 2)), steps.cumsum(axis=0)])
         lane, line = PolyLane(tuple(map(tuple, points.tolist()))), shapely.LineString(points)
         assert lane.length == pytest.approx(line.length)
+        headings = [lane.heading_at(s) for s in lengths.cumsum() - lengths / 2.0]
+        np.testing.assert_allclose(np.sin(headings), np.sin(turns))
         for x, y in (points[rng.integers(6, size=60)] + rng.normal(0.0, 4.0, (60, 2))).tolist():
             s, lateral = lane.local_coordinates(x, y)
             if 0.0 < s < lane.length:

@@ -65,6 +65,8 @@ def test_lanes_without_a_length_point_where_their_neighbours_do(pieces: Path) ->
     assert joint.length < 0.2 and joint.heading_at(0.0) == pytest.approx(0.0, abs=1e-6)
     assert joint.local_coordinates(*joint.position(0.0, 1.0)) == pytest.approx((0.0, 1.0))
     assert all(network.stretch(name) == pytest.approx(1.0, abs=0.01) for name in network.sumo_lanes)
+    bend = (0.0, -9.0), (1.0, 0.0), (2.0, 0.0)  # its last piece is beside the joint
+    assert files._stub(bend[-1], bend, ())[1] == pytest.approx((2.0 + files.CLOSE, 0.0))
 
 
 def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Path) -> None:

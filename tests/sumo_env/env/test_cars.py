@@ -111,7 +111,19 @@ def test_a_crashed_car_leaves_the_agents_and_with_remove_crashed_the_road(remove
     env.step({"car_1": 4})
     scene = env.cars["car_1"].scene
     assert (car_id(0) in scene.ids, scene.cars) == ((False, 1) if removes else (True, 2))
-    assert scene.ids[0] == car_id(1)
+    assert scene.ids[0] == car_id(1) and env.cars["car_0"].scene.time == scene.time
+
+
+def test_on_the_replica_cars_are_paid_as_the_first_one_and_leave_with_it_or_by_a_crash() -> None:
+    env, crashed = several("replica", "highway", 2), set[str]()
+    for seed in range(20):
+        env.reset(seed=seed)
+        while len(env.agents) == 2 and "car_1" not in crashed:
+            _, rewards, ends, *_ = env.step({"car_0": 1, "car_1": 3})
+            crashed = {agent for agent in ends if env.cars[agent].ego_state.crashed}
+            assert ends == {agent: "car_0" in crashed or agent in crashed for agent in ends}
+            assert len({*rewards.values()}) == 1
+    assert crashed == {"car_1"}
 
 
 def test_the_first_rows_of_a_scene_are_the_cars() -> None:
@@ -155,7 +167,10 @@ CASES = {
     "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "grid": ("highway-v0", tuples({"type": "DiscreteAction"}, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "four arms": ("intersection-v0", tuples(LADDER, SEEN, controlled_vehicles=4, destination=None)),
-    "destinations": ("intersection-v0", tuples(CONTINUOUS, DESTINATIONS, controlled_vehicles=3)),
+    "destinations": (
+        "intersection-v0",
+        tuples(CONTINUOUS, DESTINATIONS, controlled_vehicles=3, offroad_terminal=True),
+    ),
     "intersection": ("intersection-multi-agent-v0", None),
     "each its own": ("intersection-multi-agent-v1", None),
     "connected": ("intersection-multi-agent-v2", None),
@@ -174,7 +189,7 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
     ]
     ours = both[1]
     compared = 0
-    for seed in range(5):
+    for seed in range(15):
         if compared >= 15:
             break
         found: list[Any] = [env.reset(seed=seed) for env in both]

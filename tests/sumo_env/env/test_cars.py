@@ -111,7 +111,7 @@ def test_one_contact_has_one_name_though_the_cars_see_it_at_an_angle() -> None:
         vehicle = SimpleNamespace(crashed=False, crash=lambda speed: None)
         car.ego, car._detector = SimpleNamespace(vehicle=vehicle, speed=5.0), CrashDetector()
         crash = record(one, other, car_id(1), 1.0, "geometry")
-        hit = SimpleNamespace(name=car_id(0), _detector=SimpleNamespace(contact=(one, other)))
+        hit: Any = SimpleNamespace(name=car_id(0), _detector=SimpleNamespace(contact=(one, other)))
         car.be_hit(hit, crash)
         assert mismatch(asdict(crash), asdict(car._detector.crash)) == []
         otherwise += record(other, one, car_id(0), 1.0, "geometry").type != crash.type

@@ -37,15 +37,6 @@ def test_sumo_lanes_lie_on_highway_env_lanes_and_nobody_drives_off_an_end(task):
         assert last_s > (lane.length + beyond - 1e-9 if is_exit else lane.length - plans.GAP)
 
 
-@pytest.mark.parametrize("lanes_count", plans.LANES_COUNTS)
-def test_highways_of_any_width(lanes_count):
-    net = network(road("highway", lanes_count=lanes_count))
-    assert net.net_file.name == f"highway-{lanes_count}.net.xml"
-    for i in range(lanes_count):
-        assert net.lanes[("0", "1", i)].id == f"0-1_{lanes_count - 1 - i}"
-        assert net.lanes["0", "1", i].shape[0][1] == pytest.approx(4 * i)
-
-
 def test_two_way_road_of_any_length_keeps_x():
     for length in (800.0, 1600 / 3):
         net = network(road("two-way", road_length=length))
@@ -67,14 +58,6 @@ def test_routes_in_the_ring_start_one_edge_earlier():
         for end in ("sxr", "exr", "nxr", "wxr"):
             if index[1][1:] not in ("xs", "xr") or index[1][0] == end[0]:
                 assert net.sumo_route(index, end) in net.routes
-
-
-def test_stretch_is_the_ratio_of_lengths():
-    net = network(road("u-turn"))
-    inner, outer = net.lanes[("b", "c", 0)].id, net.lanes[("b", "c", 1)].id
-    assert net.stretch(inner) == pytest.approx(22 / 20, abs=1e-3)
-    assert net.stretch(outer) == pytest.approx(22 / 24, abs=1e-3)
-    assert net.stretch("a-b_0") == pytest.approx(1, abs=1e-3)
 
 
 def test_placing_follows_the_route_over_joints():

@@ -257,6 +257,13 @@ def test_who_can_meet(tmp_path: Path) -> None:
         assert {can_meet(*two, lengths, driven) for two in ((one, other), (other, one))} == {expected}, one
 
 
+def test_a_junction_is_left_by_the_way_that_was_taken(tmp_path: Path) -> None:
+    net = files.network(netconvert(tmp_path, MERGE))
+    for start in ("wm", "sm"):
+        inside = net.meeting.inside(Spot("me_0", 2.0), CAR, start)
+        assert inside == list(net.sumo_lanes[f"{start}_0"].following) != []
+
+
 def test_the_ego_is_as_large_as_its_vehicle_type(tmp_path: Path) -> None:
     """A lorry of 16 m hits what stands 8 m ahead of its middle."""
     demand = route_file(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -10,7 +12,9 @@ import pytest
 
 import sumo_env
 from sumo_env.config import ConfigError
+from sumo_env.contacts.crash import CrashDetector, record
 from sumo_env.env import DrivingEnv
+from sumo_env.sumo.learning_car import Car
 from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import car_id
 from tests.sumo_env.fleets import mismatch
@@ -82,6 +86,8 @@ def test_a_vehicle_that_matters_to_one_of_the_cars_is_simulated() -> None:
     one, two = (get_task("highway").scenario({**config, "controlled_vehicles": count}, 0) for count in (1, 2))
     furthest = [max(spec.s for spec in drawn.vehicles if spec.concerns_ego) for drawn in (one, two)]
     assert furthest[1] > furthest[0] + 500.0 and not all(spec.concerns_ego for spec in one.vehicles)
+    three = get_task("highway").scenario({**config, "controlled_vehicles": 3}, 0)
+    assert np.diff([spec.s for spec in three.specs]).min() > 5.0  # each is ahead of the one before it
 
 
 def test_two_cars_that_touch_have_both_crashed() -> None:
@@ -98,6 +104,20 @@ def test_two_cars_that_touch_have_both_crashed() -> None:
     assert mismatch(*(info["crash"] for info in infos.values())) == []
 
 
+def test_one_contact_has_one_name_though_the_cars_see_it_at_an_angle() -> None:
+    rng, otherwise = np.random.default_rng(0), 0
+    for x, y, turn in rng.uniform((-4, -2, -0.7), (4, 2, 0.7), (50, 3)).tolist():
+        one, other, car = (0.0, 0.0, 9.0, 0.0), (x, y, 5.0, turn), object.__new__(Car)
+        vehicle = SimpleNamespace(crashed=False, crash=lambda speed: None)
+        car.ego, car._detector = SimpleNamespace(vehicle=vehicle, speed=5.0), CrashDetector()
+        crash = record(one, other, car_id(1), 1.0, "geometry")
+        hit: Any = SimpleNamespace(name=car_id(0), _detector=SimpleNamespace(contact=(one, other)))
+        car.be_hit(hit, crash)
+        assert mismatch(asdict(crash), asdict(car._detector.crash)) == []
+        otherwise += record(other, one, car_id(0), 1.0, "geometry").type != crash.type
+    assert otherwise > 3
+
+
 @pytest.mark.parametrize("removes", [False, True])
 def test_a_crashed_car_leaves_the_agents_and_with_remove_crashed_the_road(removes: bool) -> None:
     env = several("sumo", "two-way", 2, remove_crashed=removes)
@@ -111,7 +131,19 @@ def test_a_crashed_car_leaves_the_agents_and_with_remove_crashed_the_road(remove
     env.step({"car_1": 4})
     scene = env.cars["car_1"].scene
     assert (car_id(0) in scene.ids, scene.cars) == ((False, 1) if removes else (True, 2))
-    assert scene.ids[0] == car_id(1)
+    assert scene.ids[0] == car_id(1) and env.cars["car_0"].scene.time == scene.time
+
+
+def test_on_the_replica_cars_are_paid_as_the_first_one_and_leave_with_it_or_by_a_crash() -> None:
+    env, crashed = several("replica", "highway", 2), set[str]()
+    for seed in range(20):
+        env.reset(seed=seed)
+        while len(env.agents) == 2 and "car_1" not in crashed:
+            _, rewards, ends, _, infos = env.step({"car_0": 1, "car_1": 3})
+            crashed = {agent for agent in ends if env.cars[agent].ego_state.crashed}
+            assert ends == {agent: "car_0" in crashed or agent in crashed for agent in ends}
+            assert len({*rewards.values()}) == 1
+    assert crashed == {"car_1"} and 0.0 < infos["car_1"]["min_ttc_before_contact"] < 1.0
 
 
 def test_the_first_rows_of_a_scene_are_the_cars() -> None:
@@ -155,7 +187,10 @@ CASES = {
     "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "grid": ("highway-v0", tuples({"type": "DiscreteAction"}, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "four arms": ("intersection-v0", tuples(LADDER, SEEN, controlled_vehicles=4, destination=None)),
-    "destinations": ("intersection-v0", tuples(CONTINUOUS, DESTINATIONS, controlled_vehicles=3)),
+    "destinations": (
+        "intersection-v0",
+        tuples(CONTINUOUS, DESTINATIONS, controlled_vehicles=3, offroad_terminal=True),
+    ),
     "intersection": ("intersection-multi-agent-v0", None),
     "each its own": ("intersection-multi-agent-v1", None),
     "connected": ("intersection-multi-agent-v2", None),
@@ -174,7 +209,7 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
     ]
     ours = both[1]
     compared = 0
-    for seed in range(5):
+    for seed in range(15):
         if compared >= 15:
             break
         found: list[Any] = [env.reset(seed=seed) for env in both]

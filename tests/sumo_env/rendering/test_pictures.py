@@ -20,9 +20,9 @@ from sumo_env.config import COMMON
 from sumo_env.env import DrivingEnv
 from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
 from sumo_env.rendering import draw
-from sumo_env.rendering.notes import CRASH, EVENT, Mark, Notes
+from sumo_env.rendering.notes import CRASH, EVENT, Mark, Notes, _near
 from sumo_env.rendering.pictures import RING
-from sumo_env.rendering.scenery import FILM
+from sumo_env.rendering.scenery import FILM, HIGHWAY_ENVS, _colour
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.scene import OBSTACLE as PREFIX
 from sumo_env.scene import OBSTACLE_SIZE, Scene
@@ -100,6 +100,12 @@ def test_learning_cars_and_obstacles_have_a_colour_and_size_of_their_own() -> No
     picture = draw(replace(now, ids=("ego", "v1", box), sizes={box: OBSTACLE_SIZE}), highway(4), VIEW)
     assert [pixel(picture, x, y) for x, y in ((99.5, 4), (114.5, 4), (109.3, 8))] == [EGO, FURTHER, OBSTACLE]
     assert pixel(picture, 108.7, 8) == ASPHALT
+    assert _colour(scene((100, 4, 0), crashed=(0,)), 0, HIGHWAY_ENVS) == HIGHWAY_ENVS.crashed
+
+
+def test_who_would_be_hit_first_is_marked() -> None:
+    near = replace(scene((100, 4, 0), (110, 4, 0), (120, 4, 0)), speed=np.array([20.0, 5.0, 5.0]))
+    assert [(mark.name, mark.text) for mark in _near(near)] == [("v1", "0.3 s")]
 
 
 def test_headings_turn_clockwise_on_the_screen() -> None:

@@ -111,6 +111,7 @@ def test_the_dose_is_the_share_of_linear_drivers_and_they_stay_the_same() -> Non
     assert some.items() <= more.items()
     assert len(linear.linear_drivers(drawn(risk=1.0))) == 50
     assert linear.linear_drivers(drawn(risk=0.0)) == {}
+    assert linear.linear_drivers(with_other_drivers(drawn(), 5)) != linear.linear_drivers(drawn())
 
 
 def test_everybody_else_is_a_regular_driver_and_nothing_happens() -> None:

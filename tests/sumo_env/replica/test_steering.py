@@ -110,16 +110,9 @@ def test_every_way_to_steer(action: dict[str, Any], task: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("id", sumo_env.LATER_IDS)
 def test_later_versions_are_those_of_highway_env(id: str) -> None:
-    """Defaults, observations, actions, rewards; the second episode goes on with the stream of the one before."""
+    """Observations and rewards, under the defaults; the second episode goes on with the stream of the one before."""
     task, version = sumo_env.task_of(id), sumo_env.version_of(id)
     theirs, ours = pair(task, {}, version)
-    assert (theirs.observation_space, theirs.action_space) == (ours.observation_space, ours.action_space)
-    connected = "neighbour_vehicles_connected_lanes"
-    assert (
-        theirs.unwrapped.config[connected]
-        == ours.unwrapped.config[connected]
-        == (id != "replica/intersection-v1")
-    )
     assert different(theirs, ours, (1, 2), wild) == []
 
 

@@ -32,7 +32,8 @@ FLOWS = """
     <flow id="w" type="wiedemann" begin="0" end="900" period="40"><route edges="ab bc"/></flow>
     <flow id="b" type="bike" begin="0" end="900" period="40"><route edges="ab bc"/></flow>
 """
-OWN = {"car": (2.2, 4.4, 1.3, 2.1), "lorry": (1.1, 3.3, 1.7, 3.1)}
+PARAMETERS = "accel", "decel", "tau", "min_gap", "assertive", "speed_gain"
+OWN = {"car": (2.2, 4.4, 1.3, 2.1, 1.0, 1.0), "lorry": (1.1, 3.3, 1.7, 3.1, 1.0, 1.0)}
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +43,15 @@ def road(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def parameters(env: SumoDrivingEnv, names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
-    """accel, decel, tau and minGap of vehicles, as SUMO has them."""
+    """accel, decel, tau, minGap, lcAssertive and lcSpeedGain of vehicles, as SUMO has them."""
     ask = env.sumo.vehicle
+    assert [ask.getApparentDecel(name) for name in names] == [ask.getDecel(name) for name in names]
+    changes = "laneChangeModel.lcAssertive", "laneChangeModel.lcSpeedGain"
     return {
-        name: (ask.getAccel(name), ask.getDecel(name), ask.getTau(name), ask.getMinGap(name))
+        name: (
+            *(ask.getAccel(name), ask.getDecel(name), ask.getTau(name), ask.getMinGap(name)),
+            *(float(ask.getParameter(name, key)) for key in changes),
+        )
         for name in names
     }
 
@@ -72,16 +78,18 @@ def test_parameters_follow_the_law_relative_to_each_driver_s_own_type(road: tupl
                 env.scene = simulator.step({env.ego_id: EgoCommand(3.0, env.scene.place.lane)}).scene
     values = np.array(list(found[1.0].values()))
     assert len(values) >= 200
-    for column, name in zip(values.T, ("accel", "decel", "tau", "min_gap"), strict=True):
+    for column, name in zip(values.T, PARAMETERS, strict=True):
         low, high = getattr(RISK_RANGES, name)
         assert low - 1e-3 <= column.min() < low + 0.05 and high - 0.05 < column.max() <= high + 1e-3
         assert column.mean() == pytest.approx((low + high) / 2, abs=0.07)
         assert column.std() == pytest.approx((high - low) / 12**0.5, abs=0.05)
-    assert np.abs(np.corrcoef(values.T) - np.eye(4)).max() < 0.25
+    assert np.abs(np.corrcoef(values.T) - np.eye(6)).max() < 0.25
     both = found[1.0].keys() & found[0.5].keys()
     assert len(both) > 100
     for name in both:
-        assert (found[0.5][name] - 1.0) * 2.0 == pytest.approx(found[1.0][name] - 1.0, abs=1e-3)
+        half, full = (found[0.5][name] - 1.0) * 2.0, found[1.0][name] - 1.0
+        assert half[:4] == pytest.approx(full[:4], abs=1e-3)
+        assert half == pytest.approx(full, abs=0.016)  # SUMO says those of lane changes with two digits
 
 
 def test_bicycles_and_parameters_that_a_model_lacks_are_left_alone(road: tuple[Path, Path]) -> None:

@@ -238,7 +238,7 @@ def test_a_vehicle_of_the_files_arrives_where_they_say(tmp_path: Path, place: st
     env = SumoDrivingEnv(net, route_file(tmp_path, routes), ego_vehicle="ego", config={"duration": 60})
     infos = [info for *_, info in drive(env, FASTER, seed=0)]
     assert infos[-1]["ending"] == "arrived"
-    assert sum(info["distance"] for info in infos) == pytest.approx(length, abs=5.0)
+    assert sum(info["distance"] for info in infos) == pytest.approx(length, abs=0.2)
     env.close()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +57,8 @@ def test_leaders_and_followers_are_highway_env_s_neighbours() -> None:
     for _ in range(30):
         x, y = rng.uniform(100.0, 300.0, 12), rng.choice([0.0, 4.0, 8.0, 12.0], 12) + rng.uniform(-1, 1, 12)
         theirs.vehicles = [Vehicle(theirs, [a, b], 0.0, 20.0) for a, b in zip(x, y, strict=True)]
-        still = np.zeros(12)
-        scene = Scene(tuple(map(str, range(12))), x, y, still + 20.0, still, still > 0, 0.0, sizes=sizes)
+        still, turned = np.zeros(12), rng.uniform(-4.0, 4.0, 12)
+        scene = Scene(tuple(map(str, range(12))), x, y, still + 20.0, turned, still > 0, 0.0, sizes=sizes)
         ego: Any = theirs.vehicles[0]
         start, end, own = ego.lane_index
         seen = neighbours_on(scene, ours, ego.lane_index)
@@ -68,7 +69,7 @@ def test_leaders_and_followers_are_highway_env_s_neighbours() -> None:
                     if other is not None:
                         row = theirs.vehicles.index(other)
                         gap = abs(x[row] - x[0]) - 2.5 - scene.size(str(row))[0] / 2.0
-                        expected[place] = Neighbour(str(row), gap, 20.0)
+                        expected[place] = Neighbour(str(row), gap, 20.0 * math.cos(turned[row]))
                         found += 1
             assert list(seen[2 * side : 2 * side + 2]) == expected
     assert found > 60

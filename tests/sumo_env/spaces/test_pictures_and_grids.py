@@ -15,6 +15,7 @@ import sumo_env  # noqa: F401  (likewise)
 from sumo_env.rendering.scenery import HIGHWAY_ENVS
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.spaces.lidar import Lidar
+from sumo_env.spaces.observation import Kinematics
 from tests.processes import ROOT
 from tests.sumo_env.replica.pairs import EQUAL, SLOW, SLOW_EQUAL, episode
 from tests.sumo_env.rollout import drive
@@ -153,6 +154,7 @@ def test_grids_are_highway_env_s(id: str) -> None:
 
 LIDAR: dict[str, Any] = {"type": "LidarObservation"}
 RAMP = ROOT / "examples" / "scenarios" / "networks" / "ramp.net.xml"
+GOAL: dict[str, Any] = {"features": ["cos_d", "sin_d"]}
 FINE: dict[str, Any] = {**LIDAR, "cells": 90, "maximum_range": 137.5, "normalize": False}
 IDS = ["highway-fast-v0", "two-way-v0", "roundabout-v1", "intersection-v2", "u-turn-v1", "merge-v1"]
 
@@ -181,15 +183,22 @@ def test_distances_and_velocities_are_highway_env_s(id: str, beams: dict[str, An
 
 
 def test_on_a_network_of_one_s_own_the_first_ray_points_ahead() -> None:
-    """On a ramp that runs north-east: the ego's half, the gap to the leader, and its speed less the ego's."""
+    """On a ramp that runs north-east: the ego's half, the gap to the leader, and its speed less the ego's.
+
+    Likewise ahead is where the way ends, as a table sees it.
+    """
     config = {"observation": {**LIDAR, "normalize": False}, "spawn_probability": 0.6}
     env = SumoDrivingEnv(RAMP, [["ramp", "merge", "out"]], ["ramp", "merge", "out"], config)
     env.reset(seed=3)
-    behind_others = 0
+    behind_others, last = 0, env.task.road(env.config).lane(("out:from", "out:to", 0))
+    end, table = np.array(last.position(last.length, 0.0)), Kinematics(GOAL, 1, on_its_way=True)
     for _ in range(20):
         seen = env.step(1)[0]
         assert env.observation_space.contains(seen)
         scene, leader = env.scene, env.scene.place.neighbours[2]
+        turn = np.arctan2(*(end - (scene.x[0], scene.y[0]))[::-1]) - scene.heading[0]
+        goal = table.observe(env._car.situation(env.target_speeds))[0]
+        assert goal == pytest.approx((np.cos(turn), np.sin(turn)), abs=1e-5)
         row = scene.ids.index(leader.id or "ego")
         if row and leader.gap < 40 and scene.heading[row] == pytest.approx(scene.heading[0]):
             assert scene.heading[0] < -0.1

@@ -190,6 +190,7 @@ def _without_bicycles(scene: Any) -> Any:
 
 def test_several_learning_cars_have_one_weight() -> None:
     with closing(make("u-turn", {"risk": 0.5}, cars=2)) as env:
-        env.reset(seed=0, options=TILT)
+        env.reset(seed=0, options={**TILT, "risk_rates": {"brake": 0.3}})
+        assert env.scenario.tilt.rates.brake == 0.3
         info = env.step((1, 1))[4]
         assert info["expected_events"] > 0.0 and math.isfinite(info["log_weight"])

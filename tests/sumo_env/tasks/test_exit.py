@@ -13,6 +13,7 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.traffic.risk import RiskEvent
+from tests.sumo_env.rollout import drive
 
 LEFT, IDLE, RIGHT = 0, 1, 2
 HOURS = 60  # [s] far beyond the exit at any speed
@@ -82,3 +83,12 @@ def test_the_ego_s_own_way_is_counted_from_where_the_lane_to_the_exit_begins() -
         assert observation[:, 1] == pytest.approx([x - 400.0, *(nearest - x)], abs=1e-3)
     with pytest.raises(ConfigError, match="exit"):
         DrivingEnv("highway", {"observation": given})
+
+
+def test_lanes_abreast_are_those_of_the_road_that_the_ego_steers_for() -> None:
+    with closing(DrivingEnv("exit", {"simulation_frequency": 15, "policy_frequency": 15})) as env:
+        env.reset(seed=0, options={"scenario": placed(env, 3, 496.0, 18.0)})
+        states = [env.ego_state for _ in drive(env, [IDLE] * 5)]
+        counts = [env.task.road(env.config).count(*state.target_lane[:2]) for state in states]
+    assert any(state.lane[:2] != state.target_lane[:2] for state in states)
+    assert [state.lanes_abreast for state in states] == counts

@@ -66,14 +66,13 @@ def test_lanes_without_a_length_point_where_their_neighbours_do(pieces: Path) ->
     assert joint.length < 0.2 and joint.heading_at(0.0) == pytest.approx(0.0, abs=1e-6)
     assert joint.local_coordinates(*joint.position(0.0, 1.0)) == pytest.approx((0.0, 1.0))
     assert all(network.stretch(name) == pytest.approx(1.0, abs=0.01) for name in network.sumo_lanes)
+    bend = (0.0, -9.0), (1.0, 0.0), (2.0, 0.0)  # its last piece is beside the joint
+    assert files._stub(bend[-1], bend, ())[1] == pytest.approx((2.0 + files.CLOSE, 0.0))
 
 
-def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Path) -> None:
+def test_of_many_lanes_those_are_found_that_are_near(town: Path) -> None:
     road = files.network(town).road
     assert len(road.lanes) > 256
-    for x, y, heading in np.random.default_rng(0).uniform((-90, -390, -4), (390, 90, 4), (100, 3)).tolist():
-        expected = min(road.lanes, key=lambda index: road.lane(index).distance(x, y, heading))
-        assert road.closest_lane(x, y, heading) == expected
     for x, y, reach in np.random.default_rng(1).uniform((-90, -390, 1), (390, 90, 80), (30, 3)).tolist():
         near = road.lanes_near(x, y, reach)
         beside = {index for index, lane in road.lanes.items() if lane.distance(x, y) <= reach}

@@ -110,6 +110,14 @@ def test_same_local_coordinates_and_lane_membership(pair):
             assert mine.distance(x, y, heading) == pytest.approx(expected, abs=1e-9)
 
 
+def test_same_closest_lane(pair):
+    ours, theirs = pair
+    for x, y, heading in _poses(theirs, np.random.default_rng(3), 300):
+        position = np.array([x, y])
+        assert ours.closest_lane(x, y, heading) == theirs.get_closest_lane_index(position, heading)
+        assert ours.closest_lane(x, y) == theirs.get_closest_lane_index(position, None)
+
+
 @pytest.mark.parametrize("name", ROADS)
 def test_the_closest_lane_is_the_first_of_all_with_the_least_distance(name):
     """Also far from the road, and where lanes are equally close, which is decided by their order."""

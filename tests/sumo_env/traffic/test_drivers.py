@@ -157,6 +157,12 @@ def test_no_vehicles_overlap_and_all_are_on_their_lane(task: str, level: str) ->
             assert road.lane(v.lane).on_lane(v.x, v.y)
 
 
+def test_highway_spacing_follows_the_density() -> None:
+    for density, spacing in ((1.0, 21.0), (2.0, 10.5)):  # metres between consecutive vehicles
+        gaps = [np.diff([v.s for v in draw("highway", s, vehicles_density=density).vehicles]) for s in SEEDS]
+        assert np.mean(gaps) == pytest.approx(spacing, rel=0.02) and np.min(gaps) > 0.0
+
+
 def test_intersection_traffic_starts_on_its_approach_and_has_three_seconds_to_drive() -> None:
     """IntersectionEnv._make_vehicles: tries at 0 to 80 m, refused within 15 m, then the challenger."""
     counts, speeds = [], []
@@ -175,6 +181,13 @@ def test_intersection_traffic_starts_on_its_approach_and_has_three_seconds_to_dr
         assert challenger.s == pytest.approx(65.0, abs=0.5)
     assert 4.0 < np.mean(counts) < 6.5
     assert np.mean(speeds) == pytest.approx(8.0, abs=0.3)
+
+
+def test_intersection_tries_to_spawn_after_every_step() -> None:
+    steps = [s.step for k in SEEDS for s in draw("intersection", k, spawn_probability=1.0).spawns if s.step]
+    assert sorted(set(steps)) == list(range(1, 14)) and len(steps) == 13 * len(SEEDS)
+    share = np.mean([(len(draw("intersection", k).spawns) - 1) / 13 for k in SEEDS])
+    assert share == pytest.approx(0.6, abs=0.1)
 
 
 def test_the_counterparts_in_highway_env_are_mobil_s_two_thresholds() -> None:

@@ -336,7 +336,7 @@ class DrivingEnv(ReadAsHighwayEnv):
     def hand_over(self, to_sumo: bool = True) -> None:
         """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
 
-        `reset` takes it back. `sumo_env.scenarios.hand_over.HandOver` does both by a rule.
+        `reset` takes it back. `sumo_env.scenarios.HandOver` does both by a rule.
         """
         if self.steers:
             raise ConfigError("SUMO drives nothing on the replica: hand_over is for environments on SUMO")

@@ -47,7 +47,7 @@ class SumoAccess:
             self._options = {**dict(task.outputs), **self._options, OUTPUT_DIR: folder}
         elif task.outputs:
             names = ", ".join(name for name, _ in task.outputs)
-            gym.logger.warn("%s", f"outputs are off ({names}); output_dir=... writes them")
+            gym.logger.warn("%s", f"{task.net}: outputs are off ({names}); output_dir=... writes them")
 
     @property
     def is_sumo(self) -> bool:

@@ -99,6 +99,7 @@ class Task:
     # whether highway-env looks at all learning cars, not at the first alone
     shares_reward: ClassVar[bool] = False
     of_files: ClassVar[bool] = False  # whether SUMO loads and drives a user's own files
+    net = ""  # the network among them
     outputs: tuple[tuple[str, str], ...] = ()  # options and values of what those files would have SUMO write
     table: Config = {}  # what a Kinematics observation has where it is not said
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import gymnasium as gym
 import pytest
@@ -17,10 +18,8 @@ IDLE, FASTER = 1, 3
 def test_alone_in_a_bend_the_ego_drives_as_in_highway_env(task: str, tolerance: float, action: int) -> None:
     """tolerance [m]: SUMO lays a vehicle on a chord, and a change of the ring's lanes takes its own time."""
     config = {"vehicles_count": 0}
-    ours, reference = (
-        gym.make(f"sumo/{task}-v0", config=config),
-        ReplicaEnv(task, config, scenarios="seeded"),
-    )
+    ours: Any = gym.make(f"sumo/{task}-v0", config=config)
+    reference: Any = ReplicaEnv(task, config, scenarios="seeded")
     for env in (ours, reference):
         env.reset(seed=0)
     ended, way = False, 0.0

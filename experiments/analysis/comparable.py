@@ -1,7 +1,8 @@
 """Which stored cells may be compared with each other.
 
 A result directory may hold cells of several groups (another budget, other versions). They are never mixed: for each
-task and traffic level, and each arm and kind of test there, one group is analysed; the others are set aside and named.
+task and traffic level one group is analysed. An agent may also have been tested in one traffic of one simulator by
+several cells: one of them counts. What is set aside is named.
 """
 
 from __future__ import annotations
@@ -28,12 +29,21 @@ def comparable(results: Results) -> tuple[Results, dict[str, str]]:
 
     For each task and level the latest group of both arms decides. Baselines must have been tested in its environment,
     on its scenarios and under its versions; further arms and tests must be of agents trained and tested as it says. Of
-    what fits, each arm, policy and kind of test has a latest group of its own (`_latest`).
+    what fits, each agent has one cell in each traffic of each simulator (`_tested_twice`). A cell that counts in some
+    of its traffics alone is among both.
     """
     left_out: dict[str, str] = {}
+    in_part: dict[str, str] = {}
+    episodes = results.episodes
     for _, cells in results.table.groupby(SETTING, sort=False):
         left_out |= _of_other_groups(cells, results)
-    return leave_out(results, left_out), left_out
+        for name, reasons in _tested_twice(cells[~cells["cell"].isin(left_out)], results).items():
+            if len(reasons) == len(cells.loc[name, "traffics"]):
+                left_out[name] = next(iter(reasons.values()))
+                continue
+            in_part[name] = "; ".join(f"in {traffic} traffic {why}" for traffic, why in reasons.items())
+            episodes = episodes[~(episodes["cell"].eq(name) & episodes["traffic"].isin(list(reasons)))]
+    return leave_out(replace(results, episodes=episodes), left_out), left_out | in_part
 
 
 def main_cells(table: pd.DataFrame) -> pd.DataFrame:
@@ -58,11 +68,40 @@ def _of_other_groups(cells: pd.DataFrame, results: Results) -> dict[str, str]:
             found[name] = _differing(own, reference, shared)
         elif not agents or not reference.items() <= own.items():
             found[name] = ALONE
-    fitting = cells[[not found.get(name) for name in cells["cell"]]]
-    for _, alike in fitting.groupby(["who", "tested_on", "traffics"], sort=False)["cell"]:
-        best = _latest(list(alike), groups, results.expected)
-        found |= {name: _differing(groups[name], best, {*groups[name], *best}) for name in alike}
     return {name: reason for name, reason in found.items() if reason}
+
+
+def _tested_twice(cells: pd.DataFrame, results: Results) -> dict[str, dict[str, str]]:
+    """The cells that do not count in some of their traffics, with the reasons by traffic.
+
+    An agent's own cell counts before further tests of it. Of several, those of the latest group count in all agents of
+    an arm, and of an agent the cell that was asked for last.
+    """
+    groups = {name: group(results.cells[name]) for name in cells["cell"]}
+    for own in groups.values():  # in which other traffics a cell tests decides nothing
+        own.pop("test_on traffics", None)
+    order, found = _order(results.expected), dict[str, dict[str, str]]()
+    for (_, _, traffic), alike in cells.explode("traffics").groupby(
+        ["who", "tested_on", "traffics"], sort=False
+    ):
+        own = alike[alike["kind"] != "test"]
+        best = _latest(list((alike if own.empty else own)["cell"]), groups, results.expected)
+        for _, names in alike.groupby("seed", dropna=False, sort=False)["cell"]:
+            *others, last = sorted(names, key=lambda name: (groups[name] == best, order.get(name, -1), name))
+            reason = f"{last} counts"
+            if groups[last] != best:
+                reason = "its agent's own test is not here"
+                others.append(last)
+            for name in others:
+                is_alike = own.empty or name in own.index
+                differing = _differing(groups[name], best, {*groups[name], *best}) if is_alike else ""
+                found.setdefault(name, {})[traffic] = differing or reason
+    return found
+
+
+def _order(expected: Sequence[str]) -> dict[str, int]:
+    """The places of cells in what sweeps have asked for; the last sweep stands last."""
+    return {name: number for number, name in enumerate(expected)}
 
 
 def _latest(
@@ -72,7 +111,7 @@ def _latest(
     members: dict[str, list[str]] = {}
     for name in names:
         members.setdefault(canonical_json(groups[name]), []).append(name)
-    order = {name: number for number, name in enumerate(expected)}  # the last sweep stands last
+    order = _order(expected)
     best = max(members.items(), key=lambda one: (max(order.get(n, -1) for n in one[1]), len(one[1]), one[0]))
     return groups[best[1][0]]
 

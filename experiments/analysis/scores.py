@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.loaded import AGENT, SETTING, Results
+from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
 TASK_ORDER = {task: number for number, task in enumerate(TASKS)}
@@ -69,13 +70,13 @@ def at_home(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def once_each(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The episodes; ValueError where an agent has one twice, so that cells of two versions would be averaged."""
-    twice = episodes[episodes.duplicated([*AGENT, "traffic", "scenario"])]
-    for row in twice.head(1).to_dict("records"):
-        raise ValueError(
-            f"{len(twice)} episodes are there twice, the first one of {row['arm']} {row['seed']} in {row['task']} "
-            f"{row['level_name']}: scenario {row['scenario']} in {row['traffic']} traffic; "
-            "choose one group of cells (`comparable.comparable`)"
+    """The episodes; UserError where an agent has one twice, so that cells of two versions would be averaged."""
+    names = [*AGENT, "traffic", "scenario"]
+    twice = episodes[episodes.duplicated(names, keep=False)]
+    for _, same in twice.groupby(names, dropna=False, sort=False):
+        raise UserError(
+            f"{' and '.join(same['cell'])} both test one agent in {same['traffic'].iloc[0]} traffic, in scenario "
+            f"{same['scenario'].iloc[0]}: move one of them out of the folder"
         )
     return episodes
 
@@ -96,7 +97,7 @@ def arms_of(
         outcomes: those that a setting does not have (NaN) are left out. traffics: of the arrays, in the grid's order.
 
     Raises:
-        ValueError: an agent has an episode twice.
+        UserError: an agent has an episode twice.
     """
     rows = once_each(episodes[episodes["traffic"].isin(list(traffics))])
     rows = in_order(rows, "backend", "task", "level", "arm", "traffic", "seed", "scenario")

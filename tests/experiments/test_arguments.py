@@ -85,6 +85,13 @@ def test_arguments_give_cells_or_one_clear_line(arguments):
         assert len(f"{cell.name}.tmp") < 200  # a file's name
         assert "/" not in cell.name
     assert {cell.name for cell in mine} <= set(names)
+    tested = [
+        (cell.task, cell.level, cell.arm, cell.seed, cell.runs_on, traffic)
+        for cell in cells
+        if cell.arm
+        for traffic in cell.tested["traffics"]
+    ]
+    assert len(set(tested)) == len(tested)
 
 
 def test_every_argument_that_chooses_cells_is_tried():

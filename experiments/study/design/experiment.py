@@ -155,20 +155,22 @@ class Experiment:
                 )
 
     def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
-        """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
+        """Further tests of an agent: in further traffics, each in one test alone, and on other simulators."""
         most, on_sumo = self.further_episodes, self.backend == "sumo"
-        if set(self.arms) & set(BETWEEN) and agent.arm in DOSE_ARMS:
-            yield _tested(agent, BETWEEN, most)
-        if self.unseen and (unseen := unseen_traffics(agent.task, self.backend)):
-            yield _tested(agent, unseen, most)
-        further = {name: traffic_named(name) for name in self.traffics}
-        if not on_sumo and any(traffic.is_of_sumo for traffic in further.values()):
-            raise UserError(f"--traffics {' '.join(further)} has drivers that {self.backend} has not")
-        if agent.level == 1 and agent.arm in ARMS:
-            known = {name: traffic_named(name) for name in self.lightest}
-            further |= {name: one for name, one in known.items() if on_sumo or not one.is_of_sumo}
-        if further:
-            yield _tested(agent, further, most)
+        asked = {name: traffic_named(name) for name in (*self.lightest, *self.traffics)}
+        if not on_sumo and any(asked[name].is_of_sumo for name in self.traffics):
+            raise UserError(f"--traffics {' '.join(self.traffics)} has drivers that {self.backend} has not")
+        lightest = [name for name in self.lightest if on_sumo or not asked[name].is_of_sumo]
+        tested = {*TRAFFICS}  # in its own test
+        for traffics, is_asked in (
+            (BETWEEN, bool(set(self.arms) & set(BETWEEN)) and agent.arm in DOSE_ARMS),
+            (lightest, agent.level == 1 and agent.arm in ARMS),
+            (unseen_traffics(agent.task, self.backend), self.unseen),
+            (self.traffics, True),
+        ):
+            if is_asked and (new := [name for name in dict.fromkeys(traffics) if name not in tested]):
+                tested.update(new)
+                yield _tested(agent, new, most)
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
                 config = env_config(other, agent.task, agent.level, self._changes)

@@ -107,6 +107,9 @@ class Asked:
             yield f"--test-on {name}", any(cell.runs_on == name != cell.backend for cell in tests)
         for name in self.drivers or ():
             yield f"--drivers {name}", any(cell.policy == name for cell in cells)
+        for name in self.traffics or ():
+            of_agents = (cell for cell in tests if not cell.pair and cell.runs_on == cell.backend)
+            yield f"--traffics {name}", any(name in cell.tested["traffics"] for cell in of_agents)
         if self.unseen:
             yield "--unseen", any(set(cell.tested["traffics"]) <= set(UNSEEN) for cell in tests)
         if self.pairs:

@@ -14,6 +14,7 @@ from typing import Any
 import pandas as pd
 
 from experiments.study.design.cell import setting
+from experiments.study.design.traffic import TRAFFICS
 from experiments.study.results.parquet import DamagedCell
 from experiments.study.results.schema import COLUMNS, EPISODES, GATES
 from experiments.study.results.store import Store
@@ -33,8 +34,8 @@ def table_of(cells: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
 
     Returns:
         A row a cell, by its name: OF_CELL, where tested_on is the simulator of its test, and arm and seed are missing
-        in baselines; setting (see `cell.setting`); who (its arm, or its policy); traffics, of its test, in one word.
-        Cells of a setting with the same who, tested_on and traffics are there for the same.
+        in baselines; setting (see `cell.setting`); who (its arm, or its policy); traffics, of its test. Cells of a
+        setting with the same who and tested_on are there for the same in each traffic that they share.
     """
     rows = [
         {
@@ -44,7 +45,7 @@ def table_of(cells: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
             "tested_on": (key.get("test_on") or key)["backend"],
             "setting": setting(key),
             "who": key["arm"] or key["policy"],
-            "traffics": " ".join(sorted((key.get("test_on") or {}).get("traffics", ()))),
+            "traffics": tuple((key.get("test_on") or {}).get("traffics", TRAFFICS)),
         }
         for name, record in cells.items()
     ]

@@ -17,6 +17,7 @@ from experiments.analysis.plan import DEFAULT
 from experiments.analysis.scores import arms_of, with_outcomes
 from experiments.study.design.sheet import GRID
 from experiments.study.results.loaded import Results, load
+from experiments.support.errors import UserError
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR
 
@@ -124,7 +125,7 @@ def test_a_setting_that_the_plan_does_not_name_is_in_no_mean(
 
 
 def test_an_episode_that_is_there_twice_is_an_error(episodes: pd.DataFrame) -> None:
-    with pytest.raises(ValueError, match="twice"):
+    with pytest.raises(UserError, match="both test one agent"):
         by_task(pd.concat([episodes, episodes[episodes["kind"] == "agent"].head(1)]))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,16 @@ import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.claims import price
+from experiments.analysis.comparable import comparable
 from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means
 from experiments.analysis.plan import DEFAULT, Bound
+from experiments.analysis.scores import once_each
+from experiments.study.design import experiment
+from experiments.study.design.traffic import AT_A_DOSE
 from experiments.study.results.loaded import Results, load
+from experiments.study.results.schema import EPISODES
+from experiments.study.results.store import Store
+from experiments.support.errors import UserError
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, find
 
@@ -96,6 +104,26 @@ def test_cells_of_two_versions_never_share_a_mean(results: Results, analysis: An
     assert set(found.notes["left_out"]) == set(both.cells) - set(results.cells)
     for name in ("effects", "means", "policies", "gates"):
         pd.testing.assert_frame_equal(getattr(found, name), getattr(analysis, name))
+
+
+def test_a_traffic_that_two_cells_test_counts_once(tmp_path: Path) -> None:
+    """An agent's own test counts, then the test that was asked for last; the others are named."""
+    synthetic.write(tmp_path, LEVELS, **STUDY, traffics=("dose25", "dose75"))
+    cells = synthetic.write(tmp_path, LEVELS, **STUDY, traffics=("dose25", "dose50"))
+    for agent in (cell for cell in cells if cell.kind == "agent"):
+        again = replace(agent, kind="test", test_on=experiment.tests_of(agent, ("risky",)))
+        Store(tmp_path).write(again, {}, {EPISODES: synthetic.episodes(again, 0.0, 0.0)})
+    results = load(tmp_path)
+    chosen, left_out = comparable(results)
+    assert not once_each(chosen.episodes).empty
+    traffics = {name: cell["key"].get("test_on", {}).get("traffics") for name, cell in results.cells.items()}
+    assert {*left_out} == {name for name, own in traffics.items() if own in (["risky"], ["dose25", "dose75"])}
+    assert {*results.cells} - {*chosen.cells} == {name for name, own in traffics.items() if own == ["risky"]}
+    counted = chosen.episodes[chosen.episodes["traffic"] == "dose25"]
+    assert all(traffics[name] == ["dose25", "dose50"] for name in counted["cell"])
+    assert {*analyse(results).by_task["traffic"]} == {*AT_A_DOSE}
+    with pytest.raises(UserError, match=next(iter(left_out))):
+        once_each(results.episodes)
 
 
 def test_means_and_the_price_ask_the_settings_of_the_plan_alone(results: Results) -> None:

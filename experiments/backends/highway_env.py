@@ -27,6 +27,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.kinematics import Vehicle
 
+from experiments.backends.highway_env_table import told
 from experiments.backends.highway_env_vehicle import (
     LinearScenarioVehicle,
     PathLinearVehicle,
@@ -101,11 +102,9 @@ class ScenarioEnv(AbstractEnv):
         self.config = {**chosen, **FIXED, "neighbour_vehicles_connected_lanes": connected}
 
     def define_spaces(self) -> None:
-        """highway-env's observation and action types; the former also says its ranges."""
+        """highway-env's observation and action types; see `highway_env_table.told`."""
         super().define_spaces()
-        for name in ("features", "ranges", "absolute"):
-            if not hasattr(self.observation_type, name):
-                setattr(self.observation_type, name, getattr(self._offered.observation_type, name))
+        self.observation_type = told(self, self._offered.observation_type)
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 

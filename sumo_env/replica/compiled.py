@@ -19,6 +19,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from sumo_env.contacts import measures, rectangles
+from sumo_env.spaces import approach
 from sumo_env.tasks import TASKS, base, two_way
 
 try:
@@ -127,6 +128,7 @@ _BENEATH = (
     rectangles.reach_of,
     rectangles.separation,
     rectangles.corner_distance,
+    approach.approach,
     base.lmap,
     two_way.column,
 )
@@ -134,5 +136,5 @@ for _function in _BENEATH:  # plain Python, which functions call that kernels ca
     register_jitable(_function)
 
 _tasks = (sys.modules[type(task).__module__] for task in TASKS.values())
-_sources = [Path(str(module.__file__)) for module in (base, *_tasks, measures, rectangles)]
+_sources = [Path(str(module.__file__)) for module in (base, *_tasks, measures, rectangles, approach)]
 _newest = max(source.stat().st_mtime for source in (*Path(__file__).parent.glob("*.py"), *_sources))

@@ -14,15 +14,16 @@ import numpy as np
 from sumo_env.replica.compiled import compiled, inlined
 from sumo_env.replica.geometry import heading_at, is_on, local_coordinates, wrapped
 from sumo_env.scene import PERCEPTION_DISTANCE
+from sumo_env.spaces.approach import APPROACH, approach
 from sumo_env.spaces.observation import BEHIND, FEATURES, OFFSETS, POSE, Kinematics, TableForm
 
 HALF_WIDTH = 2.0  # [m] of a lane
-FIRST_OFFSET = FEATURES.index(OFFSETS[0])
+FIRST_OFFSET, FIRST_APPROACH = FEATURES.index(OFFSETS[0]), len(FEATURES)
 
 
 def form_of(kinematics: Kinematics) -> TableForm | None:
     """The observation for `observe`; None if it has features that the kernel does not know."""
-    return kinematics.form if set(kinematics.features) <= {*POSE, *OFFSETS} else None
+    return kinematics.form if set(kinematics.features) <= {*POSE, *OFFSETS, *APPROACH} else None
 
 
 @inlined
@@ -62,7 +63,11 @@ def observe(lanes: Any, cars: Any, form: Any, result: Any) -> None:
     for row in range(seen + 1):
         car = ego if row == 0 else cars[rows[row - 1]]
         for k in range(len(form.features)):
-            value = feature(lanes, car, form.features[k])
+            if form.features[k] >= FIRST_APPROACH:
+                way = car.speed * car.cos - ego.speed * ego.cos, car.speed * car.sin - ego.speed * ego.sin
+                value = approach(car.x - ego.x, car.y - ego.y, *way)[form.features[k] - FIRST_APPROACH]
+            else:
+                value = feature(lanes, car, form.features[k])
             if row > 0 and form.relative[k]:
                 value -= feature(lanes, ego, form.features[k])
             elif row == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from operator import sub
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from sumo_env.scene import (
     is_obstacle,
 )
 from sumo_env.spaces.actions import Situation
+from sumo_env.spaces.approach import APPROACH, RANGES, approach
 from sumo_env.traffic.scenario import VehicleSpec
 
 Array = NDArray[np.float32]
@@ -38,7 +40,7 @@ BEHIND = -2.0 * VEHICLE_LENGTH
 class TableForm(NamedTuple):
     """A Kinematics table in numbers, for Python and for kernels; arrays have shape (features,)."""
 
-    features: Any  # places in FEATURES
+    features: Any  # places in FEATURES and, after them, APPROACH
     relative: Any  # whether a feature of the others is relative to the ego
     scale: Any  # of the affine map of a column, as `shift`: without a range, values stay as they are
     shift: Any
@@ -55,7 +57,8 @@ class TableForm(NamedTuple):
 class Kinematics:
     """highway-env's `KinematicObservation`: one row per vehicle, the ego first, then the others by distance.
 
-    Features with a range are mapped to [-1, 1]. The rows of the others are relative to the ego unless `absolute`.
+    Features with a range are mapped to [-1, 1]. The rows of the others are relative to the ego unless `absolute`. The
+    features of `approach` are not highway-env's, and have ranges where the configuration gives none.
     """
 
     def __init__(self, config: Mapping[str, Any], side_lanes: int, *, on_its_way: bool = False) -> None:
@@ -74,10 +77,10 @@ class Kinematics:
         features = given["features"] or ("presence", "x", "y", "vx", "vy")
         if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
-        known = (*FEATURES, *ON_ITS_WAY, *ON_REQUEST) if on_its_way else FEATURES
+        known = (*FEATURES, *APPROACH, *((*ON_ITS_WAY, *ON_REQUEST) if on_its_way else ()))
         self.features = tuple(one_of("observation feature", feature, known) for feature in features)
         rows = whole_number("observation 'vehicles_count'", given["vehicles_count"], MOST_VEHICLES)
-        self.ranges = ranges_of(
+        ranges = ranges_of(
             given["features_range"]
             or {
                 "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
@@ -87,6 +90,7 @@ class Kinematics:
             },
             known,
         )
+        self.ranges = {name: RANGES[name] for name in self.features if name in RANGES} | ranges
         self.absolute, self.observe_intentions = bool(given["absolute"]), bool(given["observe_intentions"])
         for key in ("vehicles_count", "order", "normalize", "clip", "see_behind"):
             setattr(self, key, given[key])  # as scripts read them of highway-env's type
@@ -194,6 +198,10 @@ class Kinematics:
         if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
+        if any(feature in APPROACH for feature in self.features):
+            ego, *others = zip(*(columns[name] for name in RELATIVE), strict=True)
+            seen = (map(sub, other, ego) for other in (ego, *others))
+            columns |= zip(APPROACH, zip(*(approach(*row) for row in seen), strict=True), strict=True)
         if any(feature in (*ON_ITS_WAY, *ON_REQUEST) for feature in self.features):
             nobody = [0.0] * (len(rows) - 1)
             columns |= {name: [value, *nobody] for name, value in on_its_way(scene).items()}

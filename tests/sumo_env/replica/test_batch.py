@@ -13,6 +13,7 @@ from sumo_env.config import Config, ConfigError
 from sumo_env.replica.batch import reward_weights
 from sumo_env.replica.env import OBSERVATIONS, ReplicaEnv
 from sumo_env.replica.vector import ReplicaVectorEnv, make
+from sumo_env.spaces.approach import APPROACH
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import EgoState
 from sumo_env.tasks.u_turn import UTurn
@@ -24,6 +25,7 @@ ENVS = 4
 LEFT_OUT = {"rewards", "crash", "ending", "traffic_light", "traffic_light_distance", "acceleration", "jerk"}
 SEE_BEHIND = {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
 STEERING = {"type": "ContinuousAction"}
+APPROACHING = {"type": "Kinematics", "absolute": True, "features": ["presence", "x", *APPROACH]}
 DYNAMICAL = {"action": {**STEERING, "dynamical": True}, "observation": {"type": "Kinematics"}}
 SEEDED: dict[str, Any] = {"scenarios": "seeded"}
 
@@ -108,6 +110,7 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ("roundabout", {**SEEDED, "variant": "path", "config": {"risk": 0.7}}),
     ("roundabout", {**SEEDED, "risk_law": "linear", "config": {"risk": 0.7}}),
     ("u-turn", {**SEEDED, "variant": "connected", "config": {"observation": SEE_BEHIND}}),
+    ("roundabout", {**SEEDED, "config": {"observation": APPROACHING}}),
     # steering
     ("intersection", {"version": 1}),
     ("highway", {"mode": "SameStep", "threads": 2, "config": {"action": STEERING}}),

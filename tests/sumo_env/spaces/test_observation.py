@@ -24,6 +24,7 @@ from sumo_env.spaces.actions import (
     target_lane,
     target_speed_index,
 )
+from sumo_env.spaces.approach import APPROACH
 from sumo_env.spaces.interface import interface
 from sumo_env.tasks import TASKS
 from tests.tasks import highway_env_task
@@ -97,6 +98,29 @@ def test_equal_in_random_states(task: str) -> None:
                 env.vehicle.route = route[roads.index(here) :] if here in roads else []
             for observation in (KINEMATICS[1], KINEMATICS[5], *GRIDS):
                 assert_equal(env, observation_factory(env, observation), observation)
+
+
+@highway_env_task
+def test_features_that_highway_env_lacks_are_equal_in_its_tables(task: str) -> None:
+    """The same rows in the same order, in all forms of the table."""
+    for form in (
+        {},
+        {"absolute": True, "features": ["dx", "presence", "dcpa", "cos_h", "tcpa"]},
+        {"order": "shuffled", "see_behind": True, "clip": False, "features_range": WIDE},
+        {"normalize": False, "features": ["tcpa", "distance"], "vehicles_count": 3},
+        {"type": "ExitObservation", "vehicles_count": 15} if task == "exit" else {"vehicles_count": 9},
+    ):
+        observation = {"type": "Kinematics", "features": ["presence", "x", "vy", *APPROACH], **form}
+        env = make(task, observation=observation)
+        for seed in range(2):
+            env.reset(seed=seed)
+            rng = np.random.default_rng(seed)
+            for _ in range(8):
+                scatter(env, rng)
+                generator = copy.deepcopy(env.np_random)
+                found, expected = ours(env, observation, generator), env.observation_type.observe()
+                np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+                assert found.shape == env.observation_space.shape
 
 
 @highway_env_task

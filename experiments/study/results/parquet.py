@@ -1,8 +1,11 @@
-"""A file of results: the episodes of one or of several cells as rows, and the records of these cells.
+"""Files of results: rows of a schema, a text that says what they are, and a checksum of both.
 
-It is a parquet file with the columns of `schema.SCHEMA`. Its metadata has "records", the record of each cell by name as
-JSON, and "sha256", the checksum of this text and of all values. Nothing in it is unpickled; links are not followed, and
-sizes are looked at before anything is read.
+`packed` writes and `unpacked` reads every such file: those of cells here, those of other tasks in `part`. They are
+parquet files, whose metadata has the text as "records" and the checksum as "sha256". Nothing in them is unpickled;
+links are not followed, and sizes are looked at before anything is read.
+
+A file of cells has the test episodes of one or of several as rows of `schema.SCHEMA`; its text is JSON, the record of
+each cell by name.
 """
 
 from __future__ import annotations
@@ -68,7 +71,12 @@ def content(records: Mapping[str, Mapping[str, Any]], table: pa.Table) -> bytes:
     for name, record in records.items():
         check_record(name, record)
     check_table(table, records)
-    text, data = json.dumps(records, allow_nan=False), io.BytesIO()
+    return packed(table, json.dumps(records, allow_nan=False))
+
+
+def packed(table: pa.Table, text: str) -> bytes:
+    """The bytes of a file with these rows and this text."""
+    data = io.BytesIO()
     with pq.ParquetWriter(
         data, table.schema, compression="zstd", write_statistics=False, store_schema=False
     ) as writer:
@@ -134,19 +142,24 @@ def _frames(path: Path, *state: int) -> dict[str, dict[str, pd.DataFrame]]:
 
 
 def read(path: Path) -> pa.Table:
-    """The rows of a file, after comparing them and the records with its checksum. Raises Wrong, or as pyarrow does."""
+    """The rows of a file of cells. Raises as `unpacked` does."""
+    return unpacked(path, SCHEMA)[0]
+
+
+def unpacked(path: Path, schema: pa.Schema) -> tuple[pa.Table, str]:
+    """The rows and the text of a file, after comparing both with its checksum. Raises Wrong, or as pyarrow does."""
     with opened(path) as file:
         parquet = pq.ParquetFile(file)
         text, expected = _metadata(parquet)
         columns = parquet.schema_arrow.remove_metadata()
-        if columns != SCHEMA:
-            odd = [str(field) for field in SCHEMA if field not in columns] or columns.names
-            raise Wrong(f"its columns are not those of `results.schema.SCHEMA`: {', '.join(odd[:3])}")
+        if columns != schema:
+            odd = [str(field) for field in schema if field not in columns] or columns.names
+            raise Wrong(f"its columns are not those that this version writes: {', '.join(odd[:3])}")
         _check_size(parquet)
         table = parquet.read()
     if digest(table, text) != expected:
         raise Wrong("its checksum does not match")
-    return table
+    return table, text
 
 
 def frame(path: Path) -> pd.DataFrame:

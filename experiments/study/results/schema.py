@@ -7,7 +7,7 @@ can be read.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import chain
 from typing import Any
 
@@ -58,12 +58,18 @@ OF_CRASH = tuple(name for name in COLUMNS if name.startswith("crash_"))
 FINITE = tuple(
     name for name, kind in COLUMNS.items() if kind == "float64" and name not in (*OF_CRASH, "min_ttc")
 )
-ARROW = {"str": pa.string(), "bool": pa.bool_(), "int64": pa.int64(), "float64": pa.float64()}
+
+
+def schema_of(columns: Mapping[str, str], missing: Collection[str] = ()) -> pa.Schema:
+    """The schema of columns by name and type ("str", or as numpy calls it); missing: those that may lack values."""
+    return pa.schema(
+        pa.field(name, pa.string() if kind == "str" else pa.from_numpy_dtype(np.dtype(kind)), name in missing)
+        for name, kind in columns.items()
+    )
+
+
 # A row a test episode: whose, what for ("test", or "gate" for what an agent is judged on before), and COLUMNS.
-SCHEMA = pa.schema(
-    pa.field(name, ARROW[kind], nullable=name in OF_CRASH)
-    for name, kind in {"cell": "str", "purpose": "str", **COLUMNS}.items()
-)
+SCHEMA = schema_of({"cell": "str", "purpose": "str", **COLUMNS}, OF_CRASH)
 
 
 def check_record(name: str, record: Any) -> None:

@@ -157,7 +157,7 @@ def drive(
     if failures:
         name, reason = next(iter(failures.items()))
         raise UserError(f"{len(failures)} batches failed; {name}: {reason}. Run the command again to go on")
-    return pd.concat([pd.read_parquet(batch.file) for batch in batches], ignore_index=True)
+    return pd.concat([batch.file.read() for batch in batches], ignore_index=True)
 
 
 def rare(options: Options, arguments: Sequence[str]) -> int:

@@ -29,9 +29,10 @@ from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import sheet
 from experiments.study.design.traffic import AT_A_DOSE
+from experiments.study.results.part import PartFile
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError
-from experiments.support.files import canonical_json, sha256_bytes, write_file
+from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.lanes import WIDTH
 from sumo_env.networks.roads import LaneIndex, Road
@@ -196,26 +197,20 @@ class Part:
         """Its working folder."""
         return self.directory / "work" / self.name
 
+    @property
+    def file(self) -> PartFile:
+        """Where it is stored."""
+        rows = [(self.task, self.level, self.traffic, ego, scenario) for scenario, ego in self.episodes()]
+        columns = {name: [row[k] for row in rows] for k, name in enumerate(PAIR)}
+        return PartFile(self.directory / self.name, self.name, COLUMNS, columns)
+
     def done(self) -> bool:
         """Whether it is stored; a part that is damaged is named, and driven again."""
-        path = self.directory / self.name
-        wanted = [(self.task, self.level, self.traffic, ego, scenario) for scenario, ego in self.episodes()]
-        if not path.exists():
-            return False
-        try:
-            found = list(pd.read_parquet(path)[[*COLUMNS]][PAIR].itertuples(index=False, name=None))
-            reason = "" if found == wanted else "its episodes are not those that are asked for"
-        except Exception as error:  # pyarrow stumbles over damage in many ways
-            reason = str(error).partition("\n")[0]
-        if reason:
-            print(f"{path} is damaged ({reason}): its episodes are driven again", flush=True)
-        return not reason
+        return self.file.done()
 
     def compute(self, heartbeat: runner.Heartbeat) -> None:
-        """Drive all episodes and write the table as a parquet file."""
-        path = self.directory / self.name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, self.drive(heartbeat).to_parquet(index=False, compression="zstd"))
+        """Drive and store all episodes."""
+        self.file.write(self.drive(heartbeat))
 
     def drive(self, heartbeat: Callable[[float], None] = lambda _: None) -> pd.DataFrame:
         """Drive all episodes in this process, telling `heartbeat` the share that is done: a row of COLUMNS for each."""
@@ -290,5 +285,5 @@ def run(parts: Sequence[Part], directory: Path, workers: int) -> pd.DataFrame:
     for name, reason in failures.items():
         log = directory / "work" / name / LOG
         raise UserError(f"{name} failed: {reason}; see {log}, and run the same command again to go on")
-    tables = [pd.read_parquet(directory / task.name).assign(engine=task.engine.name) for task in tasks]
+    tables = [task.file.read().assign(engine=task.engine.name) for task in tasks]
     return pd.concat(tables, ignore_index=True)

@@ -10,17 +10,30 @@ from typing import Any
 
 import pandas as pd
 
-from agents.files import atomic
 from agents.policies import Policy
 from experiments.backends import make_env
 from experiments.study.compute.entrants import RULES, Entrant, entrants
 from experiments.study.compute.run import Heartbeat
 from experiments.study.design.arms import stream_seed
+from experiments.study.results.part import PartFile
 from experiments.support.errors import UserError
-from experiments.support.files import canonical_json, made, sha256_bytes
+from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.tasks import TASKS
 
 KINDS = ("cut_in", "brake", "surge")
+# Columns of an episode, with their types.
+COLUMNS: dict[str, str] = {
+    "base": "float64",  # rate of events
+    "level": "float64",  # rate of those near the ego
+    "seed": "int64",
+    "crashed": "bool",
+    "steps": "int64",  # policy steps
+    "km": "float64",
+    "near": "int64",  # events near the ego
+    "near_expected": "float64",  # at the rate 1
+    "other": "int64",  # events elsewhere
+    "other_expected": "float64",
+}
 
 
 @dataclass(frozen=True)
@@ -112,29 +125,33 @@ class Batch:
         """Its working folder."""
         return self.directory / "work" / self.name
 
+    @cached_property
+    def episodes(self) -> list[tuple[float, float, int]]:
+        """Base, level and seed of each."""
+        asked, found = self.question, []
+        for k in range(self.number * self.rounds, (self.number + 1) * self.rounds):
+            for base, level in self.components:
+                words = f"rare {self.part}", asked.task, asked.level, asked.seed, f"{base:g} {level:g}", k
+                found.append((base, level, stream_seed(*words)))
+        return found
+
     @property
-    def file(self) -> Path:
-        """Its episodes."""
-        return self.directory / "episodes" / f"{self.name}.parquet"
+    def file(self) -> PartFile:
+        """Where they are stored."""
+        path = self.directory / "episodes" / f"{self.name}.parquet"
+        episodes = dict(zip(("base", "level", "seed"), zip(*self.episodes, strict=True), strict=True))
+        return PartFile(path, self.name, COLUMNS, episodes)
 
     def done(self) -> bool:
-        """Whether its episodes are there; those of a damaged file are driven again."""
-        try:
-            pd.read_parquet(self.file)
-        except Exception:  # pyarrow stumbles over damage in many ways
-            return False
-        return True
+        """Whether they are stored; those of a damaged file are driven again."""
+        return self.file.done()
 
     def compute(self, heartbeat: Heartbeat) -> None:
         """Drive and store them."""
         asked, rows = self.question, []
-        numbers = [(k, component) for k in range(self.rounds) for component in self.components]
         with closing(make_env("sumo", asked.task, asked.config)) as env:
             seen, policy = asked.entrant.make(env)
-            for done, (k, (base, level)) in enumerate(numbers):
-                where = f"{base:g} {level:g}", self.number * self.rounds + k
-                seed = stream_seed(f"rare {self.part}", asked.task, asked.level, asked.seed, *where)
-                rows.append(asked.play(seen, policy, base, level, seed))
-                heartbeat(done / len(numbers))
-        with atomic(made(self.file.parent) / self.file.name) as file:
-            pd.DataFrame(rows).to_parquet(file)
+            for done, episode in enumerate(self.episodes):
+                rows.append(asked.play(seen, policy, *episode))
+                heartbeat(done / len(self.episodes))
+        self.file.write(pd.DataFrame(rows))

@@ -1,0 +1,99 @@
+"""Stored episodes of all kinds: a byte that has changed is never believed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.rare import Options, question
+from experiments.study.compute import rare
+from experiments.study.results.parquet import Damaged
+from experiments.study.results.schema import EPISODES, GATES
+from experiments.study.results.store import Store
+from experiments.validation import episodes
+from tests.experiments import synthetic
+
+FLIPS = 200
+Read = Callable[[], list[pd.DataFrame]]
+
+
+def made_up(columns: dict[str, str], known: dict[str, Any]) -> pd.DataFrame:
+    """Rows with these values in some columns, and any in the others."""
+    n, random = len(next(iter(known.values()))), np.random.default_rng(0)
+    values = {
+        name: "a word" if kind == "str" else random.uniform(0, 100, n) for name, kind in columns.items()
+    }
+    return pd.DataFrame({**values, **known})[[*columns]].astype(columns)
+
+
+def a_cell(folder: Path) -> tuple[Path, Read]:
+    cell = synthetic.write(folder, {"u-turn": (1,)}, tests=5, seeds=1, baselines=("idle",))[-1]
+    store = Store(folder)
+    return folder / "cells" / f"{cell.name}.parquet", lambda: [
+        pd.DataFrame([store.record(cell.name)]),
+        *(store.tables(cell.name)[name] for name in (EPISODES, GATES)),
+    ]
+
+
+def a_batch(folder: Path) -> tuple[Path, Read]:
+    asked = question(Options("slower", "u-turn"))
+    file = rare.Batch(asked, folder, "pilot", ((0.1, 0.1), (0.1, 1.0)), 10, 0).file
+    file.write(made_up(rare.COLUMNS, dict(file.episodes)))
+    return file.path, lambda: [file.read()]
+
+
+def a_part(folder: Path) -> tuple[Path, Read]:
+    file = episodes.Part(episodes.Engine("sumo", "sumo"), "u-turn", 1, "risky", range(5), folder).file
+    file.write(made_up(episodes.COLUMNS, dict(file.episodes)))
+    return file.path, lambda: [file.read()]
+
+
+@pytest.fixture(params=[a_cell, a_batch, a_part])
+def stored(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Read]:
+    return request.param(tmp_path)
+
+
+def flipped(content: bytes) -> Iterator[bytes]:
+    random = np.random.default_rng(1)
+    for place, bit in zip(
+        random.integers(len(content), size=FLIPS), random.integers(8, size=FLIPS), strict=True
+    ):
+        yield content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :]
+
+
+def test_a_changed_byte_is_noticed_or_changes_nothing(stored: tuple[Path, Read]) -> None:
+    path, read = stored
+    whole, before, noticed = path.read_bytes(), read(), 0
+    for number, content in enumerate(flipped(whole)):
+        path.write_bytes(content)
+        os.utime(path, ns=(number, number))  # a file that was read before is known by its time
+        try:
+            found = read()
+        except Damaged:
+            noticed += 1
+            continue
+        for old, new in zip(before, found, strict=True):
+            pd.testing.assert_frame_equal(old, new)
+    assert noticed > FLIPS / 3
+    for content in (b"", whole[: len(whole) // 2], whole + whole[-8:]):
+        path.write_bytes(content)
+        with pytest.raises(Damaged):
+            read()
+
+
+def test_episodes_of_another_task_are_not_taken(tmp_path: Path) -> None:
+    """Two policies have the same scenarios: a batch of one is none of the other, whatever its file is called."""
+    slower, idle = (
+        rare.Batch(question(Options(policy, "u-turn")), tmp_path, "pilot", ((0.1, 0.1),), 5, 0).file
+        for policy in ("slower", "idle")
+    )
+    assert slower.episodes == idle.episodes
+    slower.write(made_up(rare.COLUMNS, dict(slower.episodes)))
+    idle.path.write_bytes(slower.path.read_bytes())
+    assert slower.done() and not idle.done()

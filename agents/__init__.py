@@ -10,7 +10,6 @@ Knows gymnasium, numpy and torch; knows no simulator and no task by name.
     replay_memory  past transitions, drawn uniformly
     files          atomic files, and arrays in them, of which damage is detected
     greedy         the policy of a trained network, and its file
-    belief         an estimate of the dose of risk, and two agents weighed by it
     extra_column   a number beside what an agent observes
     policies       what drives: the interface, models of Stable-Baselines3, objects of a user's file
     plugins        FILE:NAME

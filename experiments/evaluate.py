@@ -3,7 +3,7 @@
     python experiments/evaluate.py results/mine                # the agent that train.py has trained
     python experiments/evaluate.py u-turn.zip --tasks u-turn   # a model of Stable-Baselines3; 'ppo-{task}.zip': of each
     python experiments/evaluate.py my_policy.py:make           # make(env) returns an object with act(observation)
-    python experiments/evaluate.py treatment                   # published agents: an arm, u-turn-3/treatment, pair
+    python experiments/evaluate.py treatment                   # published agents: an arm, or u-turn-3/treatment
     python experiments/evaluate.py careful                     # a driver of fixed rules; sumo: SUMO's own
 
 Five tasks in the lightest and the densest traffic, among regular, risky and measured drivers and risky ones without

@@ -40,7 +40,6 @@ from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import duration, seconds
 from experiments.study.compute.run import compute_here
 from experiments.study.design.cell import Cell
-from experiments.study.design.estimators import check_there, to_train
 from experiments.study.design.experiment import shard
 from experiments.study.design.fingerprint import check_dynamics, check_learners, known_dynamics
 from experiments.study.design.options import Asked, argument
@@ -93,7 +92,6 @@ def sweep(
         return 0
     cells = options.cells()
     mine = shard(cells, options.shard)
-    check_there(mine)
     check(pair for cell in mine for pair in cell.simulated)
     there = set(Store(options.directory).finished())
     new = [cell for cell in mine if cell.name not in there]
@@ -178,8 +176,6 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
         print(
             f"{', '.join(new)}: not in fingerprints.json, so that names, and what is finished, are not known yet"
         )
-    if first := to_train(cells):
-        print(f"estimators that have to be trained first: {first}")
     print(
         f"{table['agents'].sum()} agents and {table['baselines'].sum()} baselines; about "
         f"{duration(3600 * table['core hours'].sum() / workers)} left with {workers} processes on a common server"

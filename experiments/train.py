@@ -27,7 +27,6 @@ import tyro
 from agents.files import atomic
 from experiments.study.compute.cells import compute
 from experiments.study.design.cell import Cell
-from experiments.study.design.estimators import check_there
 from experiments.study.design.fingerprint import check_dynamics, check_learners
 from experiments.study.design.options import Asked, Names, argument
 from experiments.study.results.store import Store
@@ -69,7 +68,6 @@ def draw(directory: Path, cell: Cell) -> Path:
 def train(options: Options, arguments: list[str]) -> int:
     """Do what the options ask for; returns the exit status."""
     asked = options.cells()
-    check_there(asked)
     agents = [cell for cell in asked if cell.kind == "agent"]
     check_dynamics(pair for cell in asked for pair in cell.simulated)
     check_learners((cell.policy, cell.profile) for cell in agents)

@@ -24,8 +24,7 @@ class View:
     Ego: origin (2,) [m] on the map (y down), heading of its road [rad], speed [m/s], curvature of its path [1/m]
     (positive to the right), sideways [m]: how far it left that path to the right in the last period.
     Others, in the frame of the ego (x ahead, y to the right): positions (n, 2) [m], headings [rad], speeds [m/s],
-    turning [rad/s], acceleration [m/s2] and drift [m], how far it left its path to the right in the last period, (n,)
-    each; the last three are 0 at the first sight of a vehicle, where it is not yet known.
+    turning [rad/s] and acceleration [m/s2], (n,) each; the last two are 0 at the first sight of a vehicle.
     """
 
     origin: np.ndarray
@@ -38,8 +37,6 @@ class View:
     speeds: np.ndarray
     turning: np.ndarray
     acceleration: np.ndarray
-    drift: np.ndarray
-    known: np.ndarray
 
 
 class Perception:
@@ -106,8 +103,6 @@ class Perception:
             speeds=speeds[1:],
             turning=nothing,
             acceleration=nothing,
-            drift=nothing,
-            known=nothing > 0,
         )
         if before is not None:
             view = _follow(before, view)
@@ -180,16 +175,11 @@ def _follow(before: View, now: View) -> View:
     known = distance.min(axis=1) < SAME
     turned = _wrap(now.headings + turn - before.headings[nearest]) / PERIOD
     slow = (now.speeds < 1) | (before.speeds[nearest] < 1)
-    middle = now.headings - PERIOD * turned / 2  # the chord of an arc has the mean of its headings
-    way = now.positions - ((before.positions - PERIOD * ego) @ frame)[nearest]
-    drift = np.where(known & ~slow, np.cos(middle) * way[:, 1] - np.sin(middle) * way[:, 0], 0.0)
     turned[(np.abs(turned) < TURNING) | slow] = 0.0
     return replace(
         now,
         turning=np.where(known, np.clip(turned, -MAX_TURNING, MAX_TURNING), 0.0),
         acceleration=np.where(known, (now.speeds - before.speeds[nearest]) / PERIOD, 0.0),
-        drift=drift,
-        known=known,
     )
 
 

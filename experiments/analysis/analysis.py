@@ -12,10 +12,9 @@ import pandas as pd
 from scipy.stats import binom
 
 from agents.rules import POLICIES
-from experiments.analysis import pairs
 from experiments.analysis import plan as plans
 from experiments.analysis.by_task import OWN, by_task
-from experiments.analysis.claims import claims, price, primary
+from experiments.analysis.claims import claims, primary
 from experiments.analysis.comparable import comparable, incomplete, leave_out, main_cells, unfinished
 from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
@@ -23,7 +22,7 @@ from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import arms_of, at_home, in_order, with_outcomes
-from experiments.study.design.arms import ARMS, EXTRA_ARMS, PAIRS
+from experiments.study.design.arms import ARMS, EXTRA_ARMS
 from experiments.study.design.cell import LEARNER
 from experiments.study.results.loaded import SETTING, Results
 from experiments.support.errors import UserError
@@ -45,9 +44,9 @@ class Analysis:
 
     effects, means: of all comparisons (arm, against) on the simulator of the training. plan, plan_hash: see
     `plan.as_data`. notes: missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their
-    reasons, and stage, the last one of the plan that is complete. primary: see `claims.primary`. price, learner (see
-    `gates.learner_checks`): empty where the plan does not ask for them. frontier: see `frontier.to_frontier`. by_task:
-    see `by_task.by_task`. influence: see `pairs.influence`; empty without pairs.
+    reasons, and stage, the last one of the plan that is complete. primary: see `claims.primary`. learner (see
+    `gates.learner_checks`): empty where the plan does not ask for it. frontier: see `frontier.to_frontier`. by_task:
+    see `by_task.by_task`.
     """
 
     effects: pd.DataFrame
@@ -62,11 +61,9 @@ class Analysis:
     notes: dict[str, Any]
     provenance: dict[str, Any]
     primary: pd.DataFrame
-    price: pd.DataFrame
     learner: pd.DataFrame
     frontier: pd.DataFrame
     by_task: pd.DataFrame
-    influence: pd.DataFrame
 
 
 def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analysis:
@@ -98,17 +95,14 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     both = adjusted(asked, counted)
     trends = slopes(arms, plan)
     everybody = arms_of(pd.concat([agents, careful(episodes)]))
-    beside = [
-        contrasts(everybody, dict.fromkeys(FURTHER, SHOWN)),
-        contrasts(arms_of(pairs.units(episodes)), dict.fromkeys(pairs.COMPARED, SHOWN)),
-    ]
+    beside = contrasts(everybody, dict.fromkeys(FURTHER, SHOWN))
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
     mean = [
         means(asked, counted, outcomes=outcomes),
         means(crashes, counted, leave_one_out=True),
-        *(means(frame, counted) for frame in beside),
+        means(beside, counted),
     ]
-    effects = pd.concat([both, *beside], ignore_index=True)
+    effects = pd.concat([both, beside], ignore_index=True)
     plan_data = plans.as_data(plan, THRESHOLDS)
     return Analysis(
         effects=effects,
@@ -131,11 +125,9 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         },
         provenance=provenance(known),
         primary=primary(mean[0], counted),
-        price=price(effects, counted),
         learner=learner_checks(known.cells, passed, agents, plan),
         frontier=to_frontier(episodes),
         by_task=by_task(episodes, counted),
-        influence=pairs.influence(episodes, counted),
     )
 
 
@@ -195,7 +187,7 @@ def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.D
     frame.insert(len(group), "n", grouped.size().to_numpy())
     frame.insert(len(group) + 1, "unit", np.where(frame["arm"] != "", "training seed", "test episode"))
     own = sorted({*frame["policy"]} - {LEARNER, *POLICIES})
-    ranks = {name: rank for rank, name in enumerate((*ARMS, *EXTRA_ARMS, *PAIRS, *POLICIES, *own))}
+    ranks = {name: rank for rank, name in enumerate((*ARMS, *EXTRA_ARMS, *POLICIES, *own))}
     frame["rank"] = frame["arm"].where(frame["arm"] != "", frame["policy"]).map(ranks)
     return (
         in_order(frame, "backend", "task", "level", "rank", "traffic")

@@ -8,16 +8,12 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis import estimate
-from experiments.analysis.effects import means
 from experiments.analysis.estimate import OK
-from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, Bound, Plan
-from experiments.study.design.sheet import GRID
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, Plan
 from experiments.study.design.traffic import TRAFFICS
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
 EQUIVALENT = "equivalent"
-ENDS = {"lightest": 0, "densest": -1}  # of a task's settings, by the words of a `Bound`
-BESIDE = ["speed_arm", "speed_against", "return_arm", "return_against"]
 
 
 @dataclass(frozen=True)
@@ -88,45 +84,6 @@ def primary(means: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     adjusted = rows.groupby("backend")["p"].transform(estimate.adjusted)
     side = np.select([~(adjusted < ALPHA), rows["estimate"] < 0], ["open", "less"], "more")
     return rows.assign(p_adjusted=adjusted, verdict=side).reset_index(drop=True)
-
-
-def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
-    """Gain without price: every bound of the plan's, in the lightest or densest of its settings, and what it costs.
-
-    Args:
-        effects: from `effects.contrasts`.
-
-    Returns:
-        A row a backend, bound and scope (a task, "all tasks"): the fields of Bound, settings, estimate, low and high
-        (the limits of one-sided tests at alpha each), verdict (contradicted: the whole interval is beyond the margin),
-        detectable: the margin that would be kept to with the plan's power if there were no difference; speed_arm and
-        speed_against [m/s], slow (see `Plan`), return_arm and return_against (NaN over tasks).
-    """
-    effects = effects[plan.covers(effects)]
-    ends = {(task, names[at]): where for task, names in GRID.items() for where, at in ENDS.items()}
-    places = zip(effects["task"], effects["level_name"], strict=True)
-    where = pd.Series([ends.get(place, "") for place in places], effects.index, "str")
-    effects = effects.assign(where=where)  # text, also without a row
-    columns = [field.name for field in fields(Bound)]
-    bounds = pd.DataFrame(plan.price, columns=columns)
-    asked = effects.merge(bounds)
-    # Each end is averaged by itself, as if it were a simulator.
-    parts = [means(rows, plan).assign(where=where) for where, rows in asked.groupby("where")]
-    found = pd.concat([means(asked.iloc[:0], plan).assign(where=""), *parts])
-    key = ["backend", "scope", "arm", "against", "term", "where"]
-    rows = bounds.merge(found[found["outcome"] == "crashed"])
-    for name, outcome in (("speed", "mean_speed"), ("return", "return")):
-        beside = found.loc[found["outcome"] == outcome, [*key, "mean_arm", "mean_against"]]
-        names = {"mean_arm": f"{name}_arm", "mean_against": f"{name}_against"}
-        rows = rows.merge(beside.rename(columns=names), "left", on=key)
-    half = estimate.stats.t.isf(ALPHA, rows["df"]) * rows["se"]  # one-sided
-    low, high = rows["estimate"] - half, rows["estimate"] + half
-    verdict = np.select([high < rows["margin"], low > rows["margin"]], [HOLDS, CONTRADICTED], NOT_DECIDED)
-    enough = [estimate.detectable(se, df, 2 * ALPHA) for se, df in zip(rows["se"], rows["df"], strict=True)]
-    slow = rows["speed_arm"] < plan.slow * rows["speed_against"]
-    rows = rows.assign(low=low, high=high, verdict=verdict, detectable=enough, slow=slow)
-    order = ["backend", "scope", "settings", "estimate", *columns, "low", "high", "verdict", "detectable"]
-    return rows[[*order, *BESIDE, "slow"]]
 
 
 def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan) -> dict[str, object]:

@@ -142,7 +142,6 @@ def group(cell: Cell) -> dict[str, Any]:
             if isinstance(value, dict)
             else {name: value}
         )
-    flat.pop("pair agents", None)  # whose seeds they are
     return flat
 
 

@@ -23,7 +23,7 @@ from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import Arms, Setting
-from experiments.study.design.arms import EVERY_ARM, PAIRS
+from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.results.loaded import SETTING
 
@@ -49,8 +49,6 @@ def contrasts(
     terms: Mapping[str, Sequence[float]] = WEIGHTS,
 ) -> pd.DataFrame:
     """Effects: one arm minus another, or minus a policy that has no training, in every setting that has both.
-
-    Of a pair the difference is taken within each training seed, since it shares its agents with the arm.
 
     Args:
         arms: from `scores.arms_of`. asked: (outcome, term) by (arm, against); outcomes that a setting does not have
@@ -89,10 +87,10 @@ def _contrast(
     both = arms[arm][outcome], arms[against][outcome]
     scores = [np.tensordot(weights, tables, axes=1) for tables in both]
     tested = [tables[weights != 0] for tables in both]
-    floored = against in (*EVERY_ARM, *PAIRS) and outcome in SHARES
+    floored = against in EVERY_ARM and outcome in SHARES
     floors = [sign**2 * estimate.binomial_floor(table) for table, sign in zip(tested, signs, strict=True)]
-    apart = against in EVERY_ARM and arm not in PAIRS
-    weighted = list(zip(scores, signs, strict=True)) if apart else [(scores[0] - scores[1], 1.0)]
+    trained = against in EVERY_ARM
+    weighted = list(zip(scores, signs, strict=True)) if trained else [(scores[0] - scores[1], 1.0)]
     found = estimate.linear(weighted, sum(floors) if floored else 0.0)
     means = [*(float(table.mean()) for table in scores), *map(len, scores)]
     saturated = floored and all((tables == 1).all() for tables in tested)

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from experiments.study.design.arms import ARMS, REGISTERED
+from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID, SHEETS
 
 ALPHA = 0.05
@@ -70,20 +70,6 @@ class Family:
 
 
 @dataclass(frozen=True)
-class Bound:
-    """A difference in the crash rate in one traffic, arm minus against, that has to be below a margin.
-
-    where: in the "lightest" or in the "densest" setting of each task.
-    """
-
-    arm: str
-    against: str
-    term: str
-    margin: float
-    where: str = "lightest"
-
-
-@dataclass(frozen=True)
 class Learner:
     """What is asked of the learner before anything is compared, see `gates.learner_checks`.
 
@@ -115,9 +101,8 @@ class Plan:
     counted as benefits in risky traffic are; from version 3 on only settings of which every agent is there.
 
     settings: the grid that the plan is about; effects of others are exploratory. primary_term: of the mean over tasks.
-    price: all that has to hold for a gain without price. slow: a pair whose speed is below this share of the single
-    agent's is named so. stages: their settings, in order; a stage is complete where every setting has this many `seeds`
-    in each arm, and the last complete one is reported.
+    stages: their settings, in order; a stage is complete where every setting has this many `seeds` in each arm, and the
+    last complete one is reported.
     """
 
     version: int = 2
@@ -129,8 +114,6 @@ class Plan:
         Family("harm", "crashed", "regular"),
         Family("paper", "return", "sum"),
     )
-    price: tuple[Bound, ...] = ()
-    slow: float = 0.9
     learner: Learner | None = None
     stages: dict[str, Places] = field(default_factory=dict)
     seeds: int = 0
@@ -154,11 +137,6 @@ DEFAULT = Plan()
 # Plan 5 (docs/developers/plan_v5.md).
 STUDY = Plan(
     version=5,
-    price=tuple(
-        Bound(REGISTERED, against, term, margin, where)
-        for where in ("lightest", "densest")
-        for against, term, margin in (("treatment", "risky", 0.05), ("control", "regular", 0.025))
-    ),
     learner=Learner(),
     stages={"a": ENDS, "b": EVERYWHERE},
     seeds=5,

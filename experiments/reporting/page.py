@@ -15,7 +15,6 @@ from markupsafe import Markup
 
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
-from experiments.analysis.claims import CONTRADICTED, NOT_DECIDED
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
@@ -25,8 +24,7 @@ from experiments.reporting import by_task, figures, tables
 from experiments.reporting.rare import BREAK_EVEN, break_even_figure
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
-from experiments.study.design.arms import ARMS, DOSE_ARMS, REGISTERED
-from experiments.study.design.sheet import GRID
+from experiments.study.design.arms import ARMS, DOSE_ARMS
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import verdicts
 from experiments.study.results.loaded import Results
@@ -108,8 +106,6 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
         "key": name,
         "mean": partial(mean, analysis, name),
         **answer(name, analysis),
-        "together": together(name, analysis),
-        "registered": REGISTERED,
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
         "paces": paces(chosen(analysis.policies, backend=name)),
@@ -181,29 +177,6 @@ def sides(single: pd.DataFrame) -> dict[str, dict[str, list[str]]]:
         }
         for side, sign in (("fewer", -1), ("more", 1))
     }
-
-
-def together(name: str, analysis: Analysis) -> list[dict[str, Any]]:
-    """What the plan asks of a control and a treated agent together, over all tasks; empty under another plan.
-
-    Of each of its bounds: the row of the analysis, the tasks in which it does not hold (by verdict), in which the pair
-    is slow and which are not there, and the pairs of agents without one of which the verdict would be another.
-    """
-    rows = chosen(analysis.price, backend=name, where="lightest")
-    asked = chosen(rows, scope=ALL_TASKS).to_dict("records")
-    for row in asked:
-        tasks = chosen(rows, term=row["term"], scope=list(TASK_ORDER))
-        row["otherwise"] = (
-            chosen(tasks, verdict=[CONTRADICTED, NOT_DECIDED]).groupby("verdict")["scope"].agg(list).to_dict()
-        )
-        row["slow_on"] = list(chosen(tasks, slow=True)["scope"])
-        row["without"] = [task for task in GRID if task not in set(tasks["scope"])]
-        without = analysis.influence
-        if len(without):
-            without = chosen(without, backend=name, against=row["against"], term=row["term"])
-            without = without[without["verdict"] != row["verdict"]]
-        row["hangs_on"] = without.to_dict("records")
-    return [{str(key): value for key, value in row.items()} for row in asked]
 
 
 def paces(policies: pd.DataFrame) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.analysis.scores import TASK_ORDER
-from experiments.study.design.arms import ARMS, PAIRS
+from experiments.study.design.arms import ARMS
 from experiments.study.design.traffic import TRAFFICS, UNSEEN
 
 MINUS = "\N{MINUS SIGN}"
@@ -26,15 +26,6 @@ NONE = "\N{EN DASH}"  # where there is no number
 BACKENDS = {"sumo": "SUMO", "replica": "highway-env's physics (replica)", "highway-env": "highway-env"}
 TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}
 ARM_NAMES = {"treatment": "treated"}  # as the pages call the agents of an arm
-WHO_DRIVES = {  # one agent, or two together
-    "control": "one control agent",
-    "treatment": "one treated agent",
-    "pair": "both; while the belief is unsure, the more careful action",
-    "careful-start": "both; two careful steps, then weighed by the belief",
-    "more-careful": "both, always the more careful action",
-    "weighed": "both, weighed by the belief",
-    "shuffled": "both, by another episode's belief",
-}
 KINDS = OUTCOMES | OWN
 
 
@@ -152,60 +143,6 @@ def careful(analysis: Analysis, backend: str) -> pd.DataFrame:
         term=list(TRAFFICS),
     )
     return wide(rows.assign(agents=rows["arm"].replace(ARM_NAMES)), ["agents"], rates)
-
-
-def who_drives(policies: pd.DataFrame) -> dict[str, str]:
-    """Who drives in every task, one agent or two together, and the words for it."""
-    tasks = policies.groupby("arm")["task"].nunique()
-    return {arm: words for arm, words in WHO_DRIVES.items() if tasks.get(arm) == policies["task"].nunique()}
-
-
-def pairs(analysis: Analysis, backend: str) -> pd.DataFrame:
-    """Crash rates and speeds of one agent and of two together in the lightest settings, every task weighted alike.
-
-    Who does not drive in every task is left out. Empty without pairs.
-    """
-    rows = chosen(analysis.policies, backend=backend, arm=list(WHO_DRIVES), traffic=list(TRAFFICS), level=1)
-    if not {*rows["arm"]} & {*PAIRS}:
-        return pd.DataFrame()
-    by_task = rows.groupby(["arm", "traffic", "task"])[["crashed", "mean_speed"]].mean()
-    means_of = by_task.groupby(["arm", "traffic"]).mean().sort_index(level="traffic", ascending=False)
-    found = means_of.reindex(list(who_drives(rows)), level="arm").dropna().reset_index()
-
-    def cells(row: Mapping[str, Any]) -> dict[str, str]:
-        return {
-            f"{title} in {row['traffic']} traffic": number(row[outcome], outcome)
-            for outcome, title in (("crashed", "crashes"), ("mean_speed", "m/s"))
-        }
-
-    return wide(found.assign(**{"who drives": found["arm"].map(WHO_DRIVES)}), ["who drives"], cells)
-
-
-def bounds(analysis: Analysis, backend: str, where: str = "lightest") -> pd.DataFrame:
-    """What the plan asks of a pair, held against one agent: a line a traffic, and the mean of the tasks or a task."""
-    rows = chosen(analysis.price, backend=backend, where=where)
-    order = {scope: number for number, scope in enumerate((ALL_TASKS, *TASK_ORDER))}
-    lines = []
-    for row in rows.sort_values("scope", key=lambda scopes: scopes.map(order)).to_dict("records"):
-        low, high, margin = (points(row[name], "crashed") for name in ("low", "high", "margin"))
-        both = {
-            name: " → ".join(plain(row[f"{name}_{side}"], digits) for side in ("against", "arm"))
-            for name, digits in (("speed", 1), ("return", 1))
-        }
-        lines.append(
-            {
-                "minus": f"one {ARM_NAMES.get(row['against'], row['against'])} agent, {row['term']} traffic",
-                "task": row["scope"].replace(ALL_TASKS, "mean of the tasks"),
-                "crashes [points]": points(row["estimate"], "crashed"),
-                "at least": low,
-                "at most": high,
-                "allowed": f"below {margin}",
-                "answer": row["verdict"] + (", slow" if row["slow"] else ""),
-                "speed [m/s]": both["speed"],
-                "return": both["return"] if row["scope"] != ALL_TASKS else "",
-            }
-        )
-    return pd.DataFrame(lines).sort_values("minus", kind="stable") if lines else pd.DataFrame()
 
 
 def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
@@ -327,9 +264,6 @@ def frontier(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulator, by the templates' names
     "careful": careful,
-    "pairs": pairs,
-    "bounds": bounds,
-    "densest": partial(bounds, where="densest"),
     "crashes": partial(by_setting, outcome="crashed"),
     "returns": partial(by_setting, outcome="return"),
     "further": further,

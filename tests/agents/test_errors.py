@@ -11,9 +11,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 
 from agents import load
-from agents.belief import Estimator, Rule, Together
 from agents.dqn import DQNConfig, train
 from agents.files import save_arrays
 from agents.greedy import Greedy
@@ -23,7 +23,6 @@ from agents.models import EgoAttention, network_class
 from agents.plugins import load_object
 from agents.policies import foreign_policy
 from agents.rules import make_policy
-from tests.agents.test_belief import Fixed
 from tests.agents.test_rules import road
 from tests.experiments.fake_env import FakeEnv
 
@@ -32,11 +31,21 @@ FILES = {
     "mine.py": "class Mine: pass\ndef nothing(env): return 3\ndef bare(): return 3\n",
     "wrong.py": "1 / 0\n",
 }
-NAN = Together(Greedy(Fixed(1.0, 0.9)), Greedy(Fixed(math.nan, 0.9)), (0, 1), Rule(weighed=(3.0, 0.3)))
+
+
+class Fixed(torch.nn.Module):
+    """A network that gives the same Q-values whatever it sees."""
+
+    def __init__(self, *values: float) -> None:
+        super().__init__()
+        self.values = torch.tensor([values])
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        return self.values
 
 
 def other(file: str) -> Path:
-    """A file of arrays that are no weights of an estimate."""
+    """A file of arrays that are no weights of that network."""
     save_arrays(Path(file), {"weights": np.zeros(3)})
     return Path(file)
 
@@ -78,8 +87,8 @@ CALLS: list[tuple[Callable[[], Any], str]] = [
     (lambda: foreign_policy("mine.py:nothing", ENV), "no act"),
     (lambda: foreign_policy("mine.py:bare", ENV), "one argument"),
     (lambda: load("u-turn-3", "contrl"), "u-turn-3/control"),
-    (lambda: Estimator.load(other("other.npz")), "another network"),
-    (lambda: NAN.act(np.ones((2, 6), np.float32)), "not a finite number"),
+    (lambda: Greedy.load(other("other.npz"), Fixed(1.0, 0.9)), "another network"),
+    (lambda: Greedy(Fixed(1.0, math.nan)).act(np.ones((2, 5), np.float32)), "not a finite number"),
 ]
 
 

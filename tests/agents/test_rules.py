@@ -137,7 +137,9 @@ def test_idm_follows_a_leader_round_a_bend() -> None:
     def seen(time: float, others: list[tuple[float, float, float]]) -> np.ndarray:
         table = np.zeros((5, 5), np.float32)
         ego = row(*on_arc(speed * time), speed)
-        for own, values in zip(table, [ego, *(row(*other, 2.0) - ego for other in others)], strict=False):
+        for own, values in zip(
+            table, [ego, *(row(*other, 2.0 + time / 10) - ego for other in others)], strict=False
+        ):
             own[:] = (1, *values)
         return table
 
@@ -152,7 +154,15 @@ def test_idm_follows_a_leader_round_a_bend() -> None:
     *_, sideways = (perception.look(seen(time, [])).sideways for time in (0.0, 1.0, 2.0))
     assert sideways == pytest.approx(0.0, abs=0.1)
     *_, other = (perception.look(seen(time, [(30 + 2 * time, 0, 0)])) for time in (3.0, 4.0))
-    assert other.known.all() and other.turning.tolist() == [0.0]  # it goes straight, while the ego turns
+    assert other.turning.tolist() == [0.0]  # it goes straight, while the ego turns
+    assert other.acceleration.tolist() == pytest.approx([0.1], abs=1e-3)
+
+
+def test_a_vehicle_is_followed_wherever_its_row_stands() -> None:
+    perception = Perception(road())
+    perception.look(scene((30, 0, 20), (50, 4, 24)))
+    seen = perception.look(scene((49, 4, 25), (25, 0, 18), (90, -4, 30)))
+    assert seen.acceleration.tolist() == pytest.approx([1.0, -2.0, 0.0], abs=1e-3)  # the last one is new
 
 
 @pytest.mark.slow

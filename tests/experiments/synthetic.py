@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from agents.rules import POLICIES
-from experiments.study.design.arms import ARMS, EVERY_ARM, PAIRS, gate_traffics
+from experiments.study.design.arms import ARMS, EVERY_ARM, gate_traffics
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
@@ -55,8 +55,7 @@ def episodes(cell: Cell, effect: float, spread: float, purpose: str = "test") ->
         luck = generator(cell.task, cell.level, traffic, purpose).uniform(size=n)  # of all who are tested
         dose = AT_A_DOSE[traffic]
         chance = chance_to_crash + 0.05 * (cell.level - 1) + own + 0.15 * dose
-        arm = "treatment" if cell.pair else cell.arm  # a pair gains as treated agents do, and pays nothing
-        risk = EVERY_ARM[arm].traffic.dose if arm else 0.0
+        risk = EVERY_ARM[cell.arm].traffic.dose if cell.arm else 0.0
         chance += effect * risk * dose
         crashed = luck + random.uniform(-0.3, 0.3, n) < chance
         length = np.where(crashed, random.integers(2, steps, n), steps)
@@ -138,7 +137,7 @@ def write(
             **{"preset": "quick", "about": "", "seeds": 3, **asked},
         ).cells()
     ]
-    arms = (*arms, *further, *PAIRS)
+    arms = (*arms, *further)
     wanted = [cell for cell in cells if cell.arm in arms or cell.policy in baselines]
     wanted = [cell for cell in wanted if set(cell.tested["traffics"]) <= set(AT_A_DOSE)]
     store = Store(directory)

@@ -56,7 +56,6 @@ ARGUMENTS = {
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "arms": st.lists(some(EVERY_ARM), max_size=3).map(tuple),
     "drivers": st.lists(some(DRIVERS), max_size=2).map(tuple),
-    "pairs": st.booleans(),
     "placebo": st.booleans(),
     "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),
     "config": st.lists(

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from experiments import estimators, rare, report, validate, watch
 from experiments import evaluate as command
+from experiments import rare, report, validate, watch
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design import experiment
 from experiments.study.design.levels import choose_levels, choose_tasks
@@ -101,7 +101,6 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (lambda: experiment.shard([], "half"), "--shard"),
     (smoke(tasks=("highway", "u-turn"), levels=(4,)), "--tasks highway asks for nothing"),
     (smoke(test_on=("sumo", "replica")), "--test-on sumo asks for nothing"),
-    (smoke(pairs=True, arms=("control",)), "--pairs asks for nothing"),
     (smoke(drivers=("planner", "sumo"), backend="replica"), "--drivers sumo asks for nothing"),
     (smoke(placebo=True, arms=("mixed",)), "leave out --arms"),
     (smoke(tasks=("highway",), backend="replica", traffics=("measured",)), "measured has drivers that replica has not"),
@@ -132,7 +131,6 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (lambda: check_film(Path("nowhere/film.gif"), ".gif"), "there is no folder"),
     (validated(quick=True), "--update"),
     (validated(levels=(1,)), "--update"),
-    (lambda: estimators.main(estimators.Options(("u-turn-4",))), "u-turn-4"),
 ]  # fmt: skip
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,7 +15,6 @@ import agents
 from experiments import evaluate
 from experiments.reporting.card import ALL, rows
 from experiments.study.compute.entrants import entrants
-from experiments.study.design.arms import ARMS
 from experiments.support.errors import UserError
 from sumo_env.benchmark import SETTINGS, TRAFFICS
 
@@ -78,32 +75,6 @@ def test_another_set_says_so_and_enters_no_table(short: Path, tmp_path: Path, mo
     assert row not in evaluate.page(second, {"slow": {**first, "set": {"u-turn": "another"}}})
 
 
-def test_a_published_pair_takes_the_more_careful_of_its_agents_actions() -> None:
-    """The agents observe the time: apart they count it, together the environment shows it."""
-    with closing(gym.make("sumo_env:sumo/u-turn-v0", config={"risk": 1.0})) as env:
-        made: Any = entrants("u-turn-3/more-careful")["u-turn", "3"].make(env)
-        seen, pair = made
-        agents: list[Any] = [entrants(f"u-turn-3/{arm}")["u-turn", "3"].make(env)[1] for arm in ARMS]
-        careful = ["SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT"]
-        names, differ = env.unwrapped.actions, 0  # type: ignore[attr-defined]
-        for seed in range(3):
-            observation, over = seen.reset(seed=seed)[0], False
-            for one in (pair, *agents):
-                one.reset()
-            while not over:
-                apart = [agent.act(observation[:, : env.observation_space.shape[1]]) for agent in agents]
-                values = [
-                    [one.q(observation[:, :-1]).tolist() for one in who] for who in (pair._agents, agents)
-                ]
-                assert values[0] == values[1]  # the control agent is the first
-                action = pair.act(observation)
-                assert names[action] == min((names[one] for one in apart), key=careful.index)
-                differ += apart[0] != apart[1]
-                observation, _, terminated, truncated, _ = seen.step(action)
-                over = terminated or truncated
-        assert differ
-
-
 def test_who_drives_where() -> None:
     places = {(task, level) for task, levels in SETTINGS.items() for level in levels}
     control = entrants("control")  # published agents, each in the setting of its training
@@ -115,7 +86,6 @@ def test_who_drives_where() -> None:
     assert {task: one.name for (task, _), one in entrants("u-turn-3/treatment").items()} == {
         "u-turn": "u-turn-3/treatment"
     }
-    assert entrants("pair")["u-turn", "12"].name == "u-turn-12/pair"
     assert entrants("{task}-{level}.zip")["highway", "50"].name == "highway-50.zip"
 
 

@@ -102,7 +102,7 @@ class CellTask:
         """The tables of the tests, by file; adds to the record of a learner of Q-values whether these come true."""
         cell = self.cell
 
-        seen, policy = driver(cell.key(), cell.source, env, *self._weights())
+        seen, policy = driver(cell.key(), cell.source, env, self._weights())
         first = cell.eval.get("first_scenario", 0)
 
         def table(there: gym.Env[Any, Any], purpose: str, traffics: Iterable[str], n: int) -> pd.DataFrame:
@@ -120,13 +120,14 @@ class CellTask:
             record["values"] = judged.record()
         return {EPISODES: episodes, GATES: gates}
 
-    def _weights(self) -> list[Path]:
-        """Those that are tested; none for a policy that is not trained."""
+    def _weights(self) -> Path | None:
+        """Those that are tested; None for a policy that is not trained."""
         if self.cell.kind != "test":
-            return [self.folder / WEIGHTS] if self.cell.kind == "agent" else []
-        found = {parent: Store(self.directory).weights(parent) for parent in self.cell.parents}
-        for parent in (parent for parent, weights in found.items() if weights is None):
+            return self.folder / WEIGHTS if self.cell.kind == "agent" else None
+        parent = self.cell.parent.name
+        weights = Store(self.directory).weights(parent)
+        if weights is None:
             raise UserError(
                 f"the weights of {parent} are not here: train it first, by the same command without --cell"
             )
-        return [weights for weights in found.values() if weights]
+        return weights

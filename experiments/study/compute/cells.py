@@ -48,7 +48,7 @@ def compute(
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
             batch = [task for name, task in tasks.items() if name not in there and task.cell.kind in kinds]
             if kinds == ("test",):
-                batch = [task for task in batch if all(map(store.weights, task.cell.parents))]
+                batch = [task for task in batch if store.weights(task.cell.parent.name)]
             if batch:
                 failures |= run(batch, *open_executor(executor, workers, directory, per_process), progress)
     return failures

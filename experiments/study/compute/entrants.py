@@ -18,10 +18,8 @@ from agents.rules import MAKERS, POLICIES, make_policy
 from experiments.study.compute.evaluate import play_from
 from experiments.study.compute.executors import cores
 from experiments.study.compute.executors.local import LocalExecutor
-from experiments.study.compute.policies import driver, together
-from experiments.study.compute.wrappers import TimeObserved
-from experiments.study.design.arms import ARMS, PAIRS, stream_seed
-from experiments.study.design.estimators import digest as digest_of_estimator
+from experiments.study.compute.policies import driver
+from experiments.study.design.arms import stream_seed
 from experiments.study.results.schema import COLUMNS
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError, in_words, unknown
@@ -52,8 +50,7 @@ def entrants(policy: str, part: str = "") -> dict[Place, Entrant]:
 
     Args:
         policy: a driver of `agents.rules`; a zip file of Stable-Baselines3 or FILE:MAKE, with {task} and {level} in its
-            name; a directory of results; or an arm of `agents.cards()` or a pair of `arms.PAIRS`, with or without its
-            setting.
+            name; a directory of results; or an arm of `agents.cards()`, with or without its setting.
         part: of the agent's name in the directory.
 
     Raises:
@@ -78,27 +75,18 @@ def _plain(make: Callable[[str, Env], Policy], name: str, env: Env) -> tuple[Env
 
 def _loaded(name: str, env: Env) -> tuple[Env, Policy]:
     setting, _, arm = name.partition("/")
-    if arm not in PAIRS:
-        return env, pretrained.load(setting, arm)
-    from agents.greedy import Greedy, Timed  # here: not every command needs torch
-
-    control, treated = (pretrained.load(setting, of_pair) for of_pair in ARMS)
-    if isinstance(control, Timed):
-        env = TimeObserved(env, control.steps)
-    agents = Greedy(control.network), Greedy(treated.network)
-    return together(env, PAIRS[arm].entries(digest_of_estimator(setting)), *agents)
+    return env, pretrained.load(setting, arm)
 
 
 def _stored(directory: Path, part: str) -> list[Entrant]:
-    """The agents, and pairs of agents, that have weights and this part in their names; the last one first."""
+    """The agents that have weights and this part in their names; the last one first."""
     store, found = Store(directory), dict[str, Entrant]()
     for name, record in store.records().items():
         key = record["key"]
-        cells = [name] if key["kind"] == "agent" else key.get("pair", {}).get("agents", ())
-        weights = [store.weights(cell) for cell in cells]
-        if part in name and key["backend"] == "sumo" and weights and all(weights):
-            files: dict[str, Any] = dict(zip(("weights", "second"), weights, strict=False))
-            make = partial(driver, key, None, **files)
+        if part not in name or key["kind"] != "agent" or key["backend"] != "sumo":
+            continue
+        if weights := store.weights(name):
+            make = partial(driver, key, None, weights=weights)
             found[record["timing"]["finished"] + name] = Entrant(name, (key["task"], key["level_name"]), make)
     if not found:
         named = f" and {part!r} in its name" if part else ""
@@ -114,13 +102,11 @@ def _published(policy: str) -> list[Entrant]:
     for name, about in cards.items():
         setting, _, arm = name.partition("/")
         arms[arm] = None
-        both = [*PAIRS] if arm == "control" and f"{setting}/treatment" in cards else []
-        for driver_of in (arm, *both):
-            if policy in (own := f"{setting}/{driver_of}", driver_of):
-                place = about["task"], setting.removeprefix(f"{about['task']}-")
-                found.append(Entrant(own, place, partial(_loaded, own)))
+        if policy in (name, arm):
+            place = about["task"], setting.removeprefix(f"{about['task']}-")
+            found.append(Entrant(name, place, partial(_loaded, name)))
     if not found:
-        raise unknown("policy", policy, [*RULES, *arms, *PAIRS, "FILE:MAKE", "a zip file", "a directory"])
+        raise unknown("policy", policy, [*RULES, *arms, "FILE:MAKE", "a zip file", "a directory"])
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 
@@ -12,14 +12,10 @@ from agents.files import DamagedFile
 from agents.plugins import foreign
 from agents.policies import Policy, as_policy, foreign_policy
 from agents.rules import make_policy
-from experiments.study.compute.wrappers import believing, observed
+from experiments.study.compute.wrappers import observed
 from experiments.study.design.cell import learner_of
 from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
-from sumo_env.spaces.actions import DiscreteMetaAction
-
-if TYPE_CHECKING:
-    from agents.greedy import Greedy
 
 
 def check(source: str, profile: Mapping[str, Any]) -> None:
@@ -37,12 +33,11 @@ def driver(
     source: str | None,
     env: gym.Env[Any, Any],
     weights: Path | None = None,
-    second: Path | None = None,
 ) -> tuple[gym.Env[Any, Any], Policy]:
     """The policy of a cell, and the environment as it observes it.
 
     source: FILE:NAME or a zip file of the user's own policy, network or learner, as the user has named it; None for one
-    of ours. weights: of a trained agent, None for a policy that is not trained here. second: of a pair's other agent.
+    of ours. weights: of a trained agent, None for a policy that is not trained here.
 
     Raises:
         UserError: the user's file is not named, not there, has changed or does not fit, or the weights belong to
@@ -54,26 +49,4 @@ def driver(
         return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
     env = observed(env, TrainingRules.of(key["profile"]))
     learner, settings = learner_of(key, source)
-    agent = as_policy(learner.load(weights, settings, env), f"load of the learner {key['policy']}")
-    if second is None:
-        return env, agent
-    from agents.greedy import Greedy  # here: not every command needs torch
-
-    other = learner.load(second, settings, env)
-    if not (isinstance(agent, Greedy) and isinstance(other, Greedy)):
-        raise UserError(f"agents of the learner {key['policy']} have no Q-values, which a pair needs")
-    return together(env, key["pair"], agent, other)
-
-
-def together(
-    env: gym.Env[Any, Any], pair: Mapping[str, Any], control: Greedy, treated: Greedy
-) -> tuple[gym.Env[Any, Any], Policy]:
-    """Two agents who drive as one, and the environment as they observe it.
-
-    pair: as in `cell.Cell`.
-    """
-    from agents.belief import Rule, Together
-
-    inner: Any = env.unwrapped
-    by_caution = DiscreteMetaAction(inner.actions, ()).by_caution
-    return believing(env, pair), Together(control, treated, by_caution, Rule(**pair["rule"]))
+    return env, as_policy(learner.load(weights, settings, env), f"load of the learner {key['policy']}")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
 
 from agents.extra_column import Env, Observed
 from agents.streams import episode_seed
-from experiments.study.design.estimators import file_of
 from experiments.study.design.traffic import Traffic
 from experiments.study.design.training_rules import TrainingRules
 from sumo_env.traffic.scenario import Scenario
@@ -80,17 +78,6 @@ def observed(env: Env, rules: TrainingRules) -> Env:
     if rules.time_observed is None:
         return env
     return TimeObserved(env, round(rules.time_observed * inner.config.get("policy_frequency", 1)))
-
-
-def believing(env: Env, pair: Mapping[str, Any]) -> Env:
-    """The environment of two agents together: the belief is its last column (pair: as in `cell.Cell`)."""
-    if "estimator_sha256" not in pair:
-        return Observed(env, lambda _: 0.5)
-    # here: not every command needs torch
-    from agents.belief import BeliefObserved, Estimator, ShuffledObserved
-
-    kind = BeliefObserved if pair["belief"] == "own" else ShuffledObserved
-    return kind(env, Estimator.load(file_of(pair["estimator_sha256"])))
 
 
 class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):

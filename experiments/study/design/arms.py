@@ -12,7 +12,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -49,32 +49,6 @@ EVERY_ARM: dict[str, Arm] = {
 }
 
 
-class Pair(NamedTuple):
-    """Control agent k and treated agent k, who drive together without further training (`agents.belief.Together`).
-
-    rule: entries of `agents.belief.Rule`. belief: by which of them acts: of the "own" episode, of "another" one, or
-    "none", which is always unsure.
-    """
-
-    rule: Mapping[str, Any]
-    belief: str = "own"
-
-    def entries(self, estimator: str) -> dict[str, Any]:
-        """Of a pair in a `cell.Cell`, with the SHA-256 of the estimator that it asks, if it asks one."""
-        asked = {} if self.belief == "none" else {"estimator_sha256": estimator}
-        return {"belief": self.belief, "rule": dict(self.rule), **asked}
-
-
-UNSURE = {"unsure": [0.2, 0.8]}
-WEIGHED = {"weighed": [3.0, 0.3]}  # chosen by the pilot of plan 4 (docs/earlier-studies.md)
-REGISTERED = "pair"  # what the plan asks about; the others stand beside it
-PAIRS = {
-    "pair": Pair(UNSURE),
-    "careful-start": Pair({"careful_steps": 2, **WEIGHED}),
-    "more-careful": Pair(UNSURE, "none"),
-    "weighed": Pair(WEIGHED),
-}
-PAIRS["shuffled"] = PAIRS[REGISTERED]._replace(belief="another")
 ARMS = ("control", "treatment")  # of the primary comparison; the others are exploratory
 EXTRA_ARMS = tuple(name for name in EVERY_ARM if name not in ARMS)
 DOSE_ARMS = ("control", *BETWEEN, "treatment")

@@ -38,9 +38,7 @@ class Cell:
         (`training_rules.TrainingRules`); for baselines only the preset's name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
-    test_on: of a further test its backend, env_config, traffics and episodes. pair: of a test of two agents together
-        (arm: of `arms.PAIRS`, seed: of both) the names of their cells (agents), rule and belief as in `arms.Pair`, and
-        where an estimator is asked estimator_sha256.
+    test_on: of a further test its backend, env_config, traffics and episodes.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
         the file's fingerprint.
     """
@@ -59,7 +57,6 @@ class Cell:
     dynamics: str
     source: str | None = None
     test_on: Mapping[str, Any] | None = None
-    pair: Mapping[str, Any] | None = None
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
@@ -67,7 +64,7 @@ class Cell:
         return {
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in values.items()
-            if name != "source" and (value or name not in ("test_on", "pair"))
+            if name != "source" and (value or name != "test_on")
         }
 
     @property
@@ -101,11 +98,6 @@ class Cell:
     def parent(self) -> Cell:
         """The cell that has trained the agent of a further test."""
         return replace(self, kind="agent", test_on=None)
-
-    @property
-    def parents(self) -> tuple[str, ...]:
-        """Names of the cells that have trained the agents of a further test."""
-        return tuple(self.pair["agents"]) if self.pair else (self.parent.name,)
 
     @property
     def slug(self) -> str:

@@ -11,9 +11,8 @@ from typing import Any
 from agents.plugins import foreign
 from agents.rules import CAUTIONS, DRIVERS, POLICIES
 from experiments.backends import BACKENDS
-from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED, PAIRS
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED
 from experiments.study.design.cell import LEARNER, Cell
-from experiments.study.design.estimators import digest
 from experiments.study.design.fingerprint import dynamics, learner_name
 from experiments.study.design.levels import choose_levels, choose_tasks, env_config, level_names
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
@@ -54,7 +53,6 @@ class Experiment:
     traffics: tuple[str, ...] = ()
     frontier: bool = False
     drivers: tuple[str, ...] = ()
-    pairs: bool = False
     config: tuple[str, ...] = ()
     crash_reward: float | None = None
     learner: str = LEARNER
@@ -91,8 +89,6 @@ class Experiment:
             agents = list(self._agents(common))
             cells += agents
             cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
-            if self.pairs and self.learner == LEARNER and is_end(task, level):
-                cells += self._pairs(agents)
             cells += [replace(common, policy=name) for name in rules]
             if level == 1:
                 others = [
@@ -176,20 +172,6 @@ class Experiment:
                 config = env_config(other, agent.task, agent.level, self._changes)
                 where = {"backend": other, "env_config": config, "dynamics": dynamics(other, agent.task)}
                 yield _tested(agent, TRAFFICS, TRANSFER_EPISODES.get(other, most), **where)
-
-    def _pairs(self, agents: Sequence[Cell]) -> Iterator[Cell]:
-        """The tests of control agent k and treated agent k together."""
-        by_place = {(agent.arm, agent.seed): agent for agent in agents}
-        for (arm, seed), control in by_place.items():
-            treated = by_place.get(("treatment", seed))
-            if arm != "control" or treated is None:
-                continue
-            for name, pair in PAIRS.items():
-                made = {
-                    "agents": [control.name, treated.name],
-                    **pair.entries(digest(f"{control.task}-{control.level_name}")),
-                }
-                yield _tested(replace(control, arm=name, pair=made), TRAFFICS)
 
     def profile(self, task: str) -> dict[str, Any]:
         """Every setting of the learner on a task and the rules of its training, as plain values.

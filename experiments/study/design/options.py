@@ -61,8 +61,6 @@ class Asked:
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     drivers: Annotated[Names, argument("NAME ...", "none")] = None
     """Drivers to test as well, in the lightest traffic: planner, clairvoyant, and on SUMO sumo (its own driver)."""
-    pairs: Flag = None
-    """Also test control agent k and treated agent k (of dqn) together, in each task's lightest and densest traffic."""
     config: Annotated[Names, argument("KEY=VALUE ...", "none")] = None
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     crash_reward: Annotated[float | None, argument("X", "none")] = None
@@ -108,9 +106,7 @@ class Asked:
         for name in self.drivers or ():
             yield f"--drivers {name}", any(cell.policy == name for cell in cells)
         for name in self.traffics or ():
-            of_agents = (cell for cell in tests if not cell.pair and cell.runs_on == cell.backend)
+            of_agents = (cell for cell in tests if cell.runs_on == cell.backend)
             yield f"--traffics {name}", any(name in cell.tested["traffics"] for cell in of_agents)
         if self.unseen:
             yield "--unseen", any(set(cell.tested["traffics"]) <= set(UNSEEN) for cell in tests)
-        if self.pairs:
-            yield "--pairs", any(cell.pair for cell in tests)

@@ -79,7 +79,6 @@ PRESETS = {
             lightest=("only-parameters", MEASURED),
             further_episodes=200,
             drivers=("planner", "sumo"),
-            pairs=True,
             at_ends={"highway": "no-brake", "u-turn": "no-cut-in"},
         ),
         Experiment(

@@ -21,7 +21,7 @@ from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 
 SETTING = ["backend", "task", "level", "level_name"]  # every comparison is made within a setting
-AGENT = [*SETTING, "arm", "seed"]  # one agent, or one pair of agents
+AGENT = [*SETTING, "arm", "seed"]
 # What every episode carries of its cell.
 OF_CELL = ["cell", "kind", *AGENT, "policy", "preset", "tested_on"]
 

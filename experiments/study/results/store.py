@@ -275,8 +275,8 @@ class Store:
 
 
 def part_of(key: Mapping[str, Any]) -> str:
-    """The part that a cell belongs to, for example "sumo-highway-50-control", or of its setting "policies", "pairs"."""
-    return f"{setting(key)}-{'pairs' if 'pair' in key else key['arm'] or 'policies'}"
+    """The part that a cell belongs to, for example "sumo-highway-50-control", or "policies" of its setting."""
+    return f"{setting(key)}-{key['arm'] or 'policies'}"
 
 
 def find_cell(word: str, names: Sequence[str]) -> str:

@@ -12,10 +12,9 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
-from experiments.analysis.claims import price
 from experiments.analysis.comparable import comparable
 from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means
-from experiments.analysis.plan import DEFAULT, Bound
+from experiments.analysis.plan import DEFAULT
 from experiments.analysis.scores import once_each
 from experiments.study.design import experiment
 from experiments.study.design.traffic import AT_A_DOSE
@@ -74,7 +73,7 @@ OLDER: list[tuple[Any, Any]] = [
     (is_elsewhere, lambda cell: cell["versions"].update(numba="0.1")),
     (
         lambda key: (key["kind"], key["arm"]) == ("agent", "dose50"),
-        lambda cell: cell["key"]["profile"].update(estimator_sha256="another"),
+        lambda cell: cell["key"]["profile"].update(gamma=0.5),
     ),
     (lambda key: key["policy"] == "careful", lambda cell: cell["key"].update(dynamics="00000000")),
 ]
@@ -126,14 +125,10 @@ def test_a_traffic_that_two_cells_test_counts_once(tmp_path: Path) -> None:
         once_each(results.episodes)
 
 
-def test_means_and_the_price_ask_the_settings_of_the_plan_alone(results: Results) -> None:
-    """Heavier levels, and a task that the plan does not name, change neither."""
+def test_means_ask_the_settings_of_the_plan_alone(results: Results) -> None:
+    """Heavier levels, and a task that the plan does not name, do not change them."""
     random = np.random.default_rng(1)
-    plan = replace(
-        DEFAULT,
-        settings=(("highway", "50"), ("u-turn", "3")),
-        price=(Bound("treatment", "control", "risky", 0.05),),
-    )
+    plan = replace(DEFAULT, settings=(("highway", "50"), ("u-turn", "3")))
     named = {**agents(1, 5, random), **agents(1, 5, random, task="u-turn")}
     others = {**agents(3, 5, random, effect=9.0), **agents(1, 5, random, effect=9.0, task="roundabout")}
     few, many = (
@@ -141,7 +136,6 @@ def test_means_and_the_price_ask_the_settings_of_the_plan_alone(results: Results
         for arms in (named, {**others, **named})
     )
     assert len(many) > len(few)
-    pd.testing.assert_frame_equal(price(many, plan), price(few, plan))
     for leave_one_out in (False, True):
         more, less = (means(frame, plan, leave_one_out) for frame in (many, few))
         more = more[more["scope"] != "roundabout"]

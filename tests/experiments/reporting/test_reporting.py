@@ -122,20 +122,6 @@ SETTING = {"backend": "sumo", "task": "u-turn", "level": 1, "level_name": "3"}
 NAN = float("nan")
 
 
-def test_a_bound_is_a_line_from_the_agent_to_the_pair_the_mean_first() -> None:
-    values = {
-        "backend": "sumo", "arm": "pair", "against": "control", "term": "regular", "where": "lightest",
-        "scope": "u-turn", "estimate": -0.01, "low": -0.03, "high": 0.012, "margin": 0.025, "verdict": "holds",
-        "speed_against": 10.0, "speed_arm": 8.9, "slow": True, "return_against": 6.0, "return_arm": 7.5,
-    }  # fmt: skip
-    rows = [values, {**values, "scope": "all tasks", "verdict": "open", "slow": False}]
-    whose, found = "one control agent, regular traffic", ("−1.0", "−3.0", "+1.2", "below +2.5")
-    assert tables.bounds(analysis(price=pd.DataFrame(rows)), "sumo").to_numpy().tolist() == [
-        [whose, task, *found, answer, "10.0 → 8.9", paid]
-        for task, answer, paid in (("mean of the tasks", "open", ""), ("u-turn", "holds, slow", "6.0 → 7.5"))
-    ]
-
-
 def test_what_is_asked_of_the_learner_stands_beside_what_was_found() -> None:
     columns = ["check", "task", "arm", "agents", "estimate", "low", "high", "least", "most", "passed"]
     rows = [

@@ -28,7 +28,6 @@ from experiments import evaluate
 from experiments.analysis.gates import CROSSINGS
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL
-from experiments.reporting.rare import BREAK_EVEN
 from experiments.reporting.tables import TABLES, chosen, effect, interval, kind_of, plain, points
 from experiments.study.design.sheet import GRID
 
@@ -127,14 +126,6 @@ def share(what: str, setting: str, arm: str) -> float:
     return float(100 * SHARES[what](own).mean())
 
 
-def pays(task: str) -> str:
-    """From how many risk events per vehicle-hour on treated agents crash less: the break-even, or the first decided."""
-    found = json.loads((ROOT / "results" / "study" / BREAK_EVEN / f"{BREAK_EVEN}.json").read_text())
-    answer, hours = found["break_even"][task], found["events_per_hour_at_rate_1"][task]
-    rate = hours * (answer["rate"] or answer["less"][0])
-    return f"{float(f'{rate:.2g}'):g}"
-
-
 def arrow(row: dict[str, Any], digits: int | None = None, bold: bool = False) -> str:
     """From control to treated agents, "38.4→34.2"; bold where the interval of the difference excludes 0.
 
@@ -163,7 +154,6 @@ FUNCTIONS: list[Callable[..., Any]] = [
         entries,
         failing,
         missed,
-        pays,
         readme_agents,
         road_units,
         row,

@@ -1,7 +1,7 @@
-"""Say how often a policy crashes where risk events are as rare as on a road, down to once in a million episodes.
+"""Say how often policies crash where risk events are as rare as on a road, down to once in a million episodes.
 
     python experiments/rare.py careful-4 --task u-turn --rates 1e-4:1
-    python experiments/rare.py u-turn-3/treatment --task u-turn --rates 1e-5:0.1 --episodes 20000 --out results/rare
+    python experiments/rare.py u-turn-3/control u-turn-3/treatment --task u-turn --episodes 20000 --out results/rare
     python experiments/rare.py my_policy.py:make --task highway --rates 0.01 --plain          # counts, to compare
 
 Rates are in units of the events at dose 1 (docs/traffic-and-risk.md); the other drivers' parameters stay those of
@@ -9,8 +9,8 @@ Rates are in units of the events at dose 1 (docs/traffic-and-risk.md); the other
 weight; how much more often is chosen by a pilot. Crashes without an event near the ego are as rare as they are: they
 have a limit of their own. Where too few crashes carry an estimate, the table says that nothing is claimed.
 
-Writes curve.json, curve.csv and curve.svg. The same command run again goes on where it was stopped; finished batches
-of episodes are never driven twice. docs/rare.md says what the columns mean, and what to beware of.
+Writes curve.json, curve.csv and curve.svg, of all policies. The same command run again goes on where it was stopped;
+finished batches of episodes are never driven twice. docs/rare.md says what the columns mean, and what to beware of.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import shlex
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -61,41 +61,35 @@ SHOWN = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Driving:
-    """At which rates is driven, among whom, and where that is computed."""
-
-    rates: str = "1e-4:1"
-    """Rates of events, 1 for those at dose 1: LOW:HIGH (two in each decade), or some with commas between."""
-    dose: float = 0.001
-    """Dose of risk that the other drivers' parameters have, above 0 (0.001: regular drivers)."""
-    reach: float = 40.0
-    """Events of vehicles within so many metres of the ego come more often."""
-    executor: str = "local"
-    """Where episodes are driven: local (processes of this machine), ray or slurm (docs/clusters.md)."""
-    workers: int | None = None
-    """Batches at a time; by default one for each core."""
-
-
 @dataclass(frozen=True)
-class Options(Driving):
-    """Say how often a policy crashes where risk events are as rare as on a road."""
+class Options:
+    """Say how often policies crash where risk events are as rare as on a road."""
 
-    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    """A published agent (treatment, u-turn-3/treatment), a zip file of Stable-Baselines3, FILE:MAKE, a directory of
-    results, or a driver of fixed rules (careful-4)."""
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ..")]
+    """Published agents (treatment, u-turn-3/treatment), zip files of Stable-Baselines3, FILE:MAKE, directories of
+    results, or drivers of fixed rules (careful-4)."""
     task: str
     """Task that is driven."""
     level: str = ""
     """Its traffic level by name; by default the lightest."""
+    rates: str = "1e-4:1"
+    """Rates of events, 1 for those at dose 1: LOW:HIGH (two in each decade), or some with commas between."""
     episodes: int = 5000
-    """Episodes for the curve, about."""
+    """Episodes for the curve of a policy, about."""
+    dose: float = 0.001
+    """Dose of risk that the other drivers' parameters have, above 0 (0.001: regular drivers)."""
+    reach: float = 40.0
+    """Events of vehicles within so many metres of the ego come more often."""
     plain: bool = False
     """Count plainly: events come no more often than asked about."""
     seed: int = 0
     """Of all scenarios."""
+    executor: str = "local"
+    """Where episodes are driven: local (processes of this machine), ray or slurm (docs/clusters.md)."""
+    workers: int | None = None
+    """Batches at a time; by default one for each core."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/rare")
-    """Directory for the results, whose curve is written anew."""
+    """Directory for the results, whose curves are written anew."""
 
 
 def rates_of(text: str) -> tuple[float, ...]:
@@ -113,8 +107,10 @@ def rates_of(text: str) -> tuple[float, ...]:
     return tuple(sorted(set(numbers)))
 
 
-def question(options: Options) -> Question:
-    """What the options ask. Raises UserError for what does not exist or makes no sense, before anything is driven."""
+def question(options: Options, policy: str) -> Question:
+    """What the options ask of a policy. Raises UserError for what does not exist or makes no sense, before anything is
+    driven.
+    """
     check_known("task", [options.task], TASKS)
     levels = TASKS[options.task].levels
     level = options.level or next(iter(levels))
@@ -129,11 +125,11 @@ def question(options: Options) -> Question:
     ):
         if not is_right:
             raise UserError(f"--{name} is {least}, not {getattr(options, name)}")
-    is_file = options.policy.endswith(".zip") or ":" in options.policy
+    is_file = policy.endswith(".zip") or ":" in policy
     with in_words((ValueError, DamagedFile)):
         dynamics = known_dynamics("sumo", options.task)
         own = options.dose, options.reach, options.seed, dynamics
-        found = Question(options.policy, options.task, level, *own)
+        found = Question(policy, options.task, level, *own)
         entrant = found.entrant
         with closing(make_env("sumo", found.task, found.config)) as env:
             entrant.make(env)
@@ -160,36 +156,47 @@ def drive(
     return pd.concat([batch.file.read() for batch in batches], ignore_index=True)
 
 
+def curve_of(
+    options: Options, asked: Question, rates: Sequence[float]
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The curve of a policy, with the columns of `analysis.curve`, and what is stored of it."""
+    levels: tuple[float, ...] = ()
+    if not options.plain:
+        levels = analysis.choose(drive(options, asked, "pilot", [(rates[0], rates[0])], PILOT))
+        print(f"events near the ego come as often as at the rates {' and '.join(map(str, levels))}")
+    higher = {rate: [level for level in levels if level > rate] for rate in rates}
+    components = [(rate, level) for rate in rates for level in (rate, *higher[rate])]
+    episodes = drive(options, asked, "curve", components, options.episodes)
+    curve = analysis.curve(episodes, rates)
+    curve.insert(1, "events_per_hour", 3600.0 * asked.events * curve["rate"])
+    stored = {
+        "question": asdict(asked),
+        "levels": levels,
+        "episodes": len(episodes),
+        "steps": int(episodes["steps"].sum()),
+        "curve": curve.to_dict("records"),
+    }
+    return curve, stored
+
+
 def rare(options: Options, arguments: Sequence[str]) -> int:
     """Do what the options ask for; returns the exit status."""
-    rates, asked = rates_of(options.rates), question(options)
+    rates, curves, stored = rates_of(options.rates), dict[str, pd.DataFrame](), dict[str, dict[str, Any]]()
+    questions = {policy: question(options, policy) for policy in options.policies}
     with writing(options.out):
-        levels: tuple[float, ...] = ()
-        if not options.plain:
-            levels = analysis.choose(drive(options, asked, "pilot", [(rates[0], rates[0])], PILOT))
-            print(f"events near the ego come as often as at the rates {' and '.join(map(str, levels))}")
-        higher = {rate: [level for level in levels if level > rate] for rate in rates}
-        components = [(rate, level) for rate in rates for level in (rate, *higher[rate])]
-        episodes = drive(options, asked, "curve", components, options.episodes)
-        curve = analysis.curve(episodes, rates)
-        curve.insert(1, "events_per_hour", 3600.0 * asked.events * curve["rate"])
+        for policy, asked in questions.items():
+            curves[policy], stored[policy] = curve_of(options, asked, rates)
+            print(f"{policy}:\n{table(curves[policy]).to_string(index=False)}")
+            without = f"crashes without an event near the ego: {limit(curves[policy])}"
+            print(f"{stored[policy]['episodes']} episodes; intervals: 95 %; {without}", flush=True)
+        whole = pd.concat(curves, names=["policy"]).reset_index(level=0)
+        write_file(options.out / "curve.csv", whole.to_csv(index=False).encode())
+        title = f"{asked.task} {asked.level}, drivers of dose {asked.dose:g}"
+        write_file(options.out / "curve.svg", rare_figure(curves, title).encode())
+        again = shlex.join(["python", "experiments/rare.py", *arguments])
         write_json(
-            options.out / "curve.json",
-            {
-                "command": shlex.join(["python", "experiments/rare.py", *arguments]),
-                "question": asdict(asked),
-                "levels": levels,
-                "episodes": len(episodes),
-                "steps": int(episodes["steps"].sum()),
-                "curve": curve.to_dict("records"),
-                "provenance": provenance(),
-            },
+            options.out / "curve.json", {"command": again, "policies": stored, "provenance": provenance()}
         )
-        write_file(options.out / "curve.csv", curve.to_csv(index=False).encode())
-        title = f"{asked.entrant.name}, {asked.task} {asked.level}, drivers of dose {asked.dose:g}"
-        write_file(options.out / "curve.svg", rare_figure(curve, title).encode())
-    print(table(curve).to_string(index=False))
-    print(f"{len(episodes)} episodes; intervals: 95 %. Crashes without an event near the ego: {limit(curve)}")
     print(f"written: {options.out / 'curve.json'}, curve.csv, curve.svg")
     return 0
 

@@ -21,7 +21,6 @@ from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA, Outcome, Plan, plan_of
 from experiments.analysis.scores import TASK_ORDER, with_outcomes
 from experiments.reporting import by_task, figures, tables
-from experiments.reporting.rare import BREAK_EVEN, break_even_figure
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
 from experiments.study.design.arms import ARMS, DOSE_ARMS
@@ -29,7 +28,7 @@ from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import verdicts
 from experiments.study.results.loaded import Results
 from experiments.study.results.store import Store
-from experiments.support.files import opened, read_json
+from experiments.support.files import opened
 from sumo_env.not_here import DOCUMENTATION
 
 LARGEST = 10_000_000  # bytes of a film
@@ -55,7 +54,6 @@ def page(
             for name in names
         ],
         "films": films(results.directory),
-        "break_even": rates(results.directory / BREAK_EVEN),
         "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,
         "checks": checks(results),
@@ -78,14 +76,6 @@ def films(directory: Path) -> dict[str, str]:
             if len(content) <= LARGEST and content.startswith((b"GIF87a", b"GIF89a")):
                 found[path.name] = b64encode(content).decode()
     return found
-
-
-def rates(folder: Path) -> dict[str, Any]:
-    """The answers and the figure of `break_even.py`, if it has written them; else nothing."""
-    if not (folder / f"{BREAK_EVEN}.json").exists():
-        return {}
-    figure = Markup(break_even_figure(pd.read_csv(folder / f"{BREAK_EVEN}.csv")))
-    return {"words": read_json(folder / f"{BREAK_EVEN}.json")["words"], "figure": figure}
 
 
 def computed(results: Results) -> dict[str, Any]:

@@ -25,7 +25,7 @@ def parsed(options: type[T], arguments: Iterable[str], about: str | None) -> T:
 
 
 def split_arguments(arguments: Iterable[str], options: type[Any]) -> list[str]:
-    """`--tasks highway,u-turn`, `--policy A --policy B`, `--pairs` and `--no-pairs` as tyro takes them.
+    """`--tasks highway,u-turn`, `--policy A --policy B`, `--unseen` and `--no-unseen` as tyro takes them.
 
     That is with spaces, each option once, and a flag that may be None with its value.
     """

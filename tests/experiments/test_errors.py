@@ -85,7 +85,7 @@ def evaluate_card(policy: str, **asked: Any) -> None:
 
 def how_rare(policy: str = "slower", task: str = "u-turn", **asked: Any) -> None:
     usual: dict[str, Any] = {"rates": "0.3,1", "dose": 0.3, "episodes": 80, "out": Path("results")}
-    rare.rare(rare.Options(policy, task, **{**usual, **asked}), [])
+    rare.rare(rare.Options((policy,), task, **{**usual, **asked}), [])
 
 
 def empty() -> None:

@@ -12,7 +12,7 @@ Knows gymnasium, numpy and torch; knows no simulator and no task by name.
     greedy         the policy of a trained network, and its file
     extra_column   a number beside what an agent observes
     policies       what drives: the interface, models of Stable-Baselines3, objects of a user's file
-    plugins        FILE:NAME
+    plugins        FILE:NAME; reading: the files that it reads
     pretrained     trained agents to load: `agents.load("u-turn-3", "treatment")`
     streams        named random streams
     rules/         idle, random, faster, slower, idm and careful, by name, and what the last two see

@@ -6,8 +6,10 @@ Never learnt: `agents.rules`.
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import json
+import pickle
 import zipfile
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,7 +17,10 @@ from typing import Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from agents.plugins import load_object
+from agents.plugins import foreign, load_object, sha256
+from agents.reading import files_read
+
+NORMALIZE = "vecnormalize.pkl"  # beside a zip file: what its training's `VecNormalize.save` wrote
 
 
 class Policy(Protocol):
@@ -52,7 +57,12 @@ def as_policy(found: Any, whose: str) -> Policy:
 
 
 class StableBaselines:
-    """A model of Stable-Baselines3, acting deterministically. Raises ValueError when the file cannot be read."""
+    """A model of Stable-Baselines3, acting deterministically.
+
+    Where "vecnormalize.pkl" lies beside it, it sees observations as it did in training behind that `VecNormalize`.
+
+    Raises ValueError when a file cannot be read, or is of other observations or actions.
+    """
 
     def __init__(self, path: str | Path, env: gym.Env[Any, Any]) -> None:
         self._model = _load_model(Path(path))
@@ -60,9 +70,13 @@ class StableBaselines:
             wanted, given = getattr(self._model, name), getattr(env, name)
             if wanted != given:
                 raise ValueError(f"{path} was trained for the {name} {wanted}, and this one is {given}.")
+        statistics = Path(path).with_name(NORMALIZE)
+        self._normalize = _load_normalize(statistics, env) if statistics.exists() else None
 
     def act(self, observation: np.ndarray) -> int:
         """The model's action."""
+        if self._normalize is not None:
+            observation = self._normalize.normalize_obs(observation)
         action, _ = self._model.predict(observation, deterministic=True)
         return int(action)
 
@@ -85,15 +99,43 @@ def _load_model(path: Path) -> Any:
     raise ValueError(f"{path} was written by none of DQN, PPO and A2C: use --policy FILE:MAKE for others.")
 
 
-def foreign_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
-    """A policy that was not made here: "FILE:MAKE", whose MAKE(env) returns an object with act(observation), or a zip
-    file of Stable-Baselines3. Raises ValueError when there is none.
+def _load_normalize(path: Path, env: gym.Env[Any, Any]) -> Any:
+    """The statistics of observations that `VecNormalize.save` has written."""
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    try:
+        with path.open("rb") as file:
+            found = pickle.load(file)  # as the model beside it, it runs code
+    except Exception as error:  # whatever a damaged pickle ends in
+        raise ValueError(f"{path} cannot be read ({type(error).__name__}: {error}).") from error
+    if not isinstance(found, VecNormalize) or found.observation_space != env.observation_space:
+        raise ValueError(f"{path} is no VecNormalize of the model's observations: move one of both away.")
+    return found
+
+
+def foreign_policy(name: str, env: gym.Env[Any, Any]) -> tuple[Policy, str]:
+    """A policy that was not made here, and the SHA-256 of what it is: its file, and the files that it reads when made.
+
+    name: "FILE:MAKE", whose MAKE(env) returns an object with act(observation), or a zip file of Stable-Baselines3.
+
+    Raises ValueError when there is none.
     """
-    if name.endswith(".zip"):
-        return StableBaselines(name, env)
+    _, digest = foreign(name)
+    with files_read() as files:
+        policy = StableBaselines(name, env) if name.endswith(".zip") else _made(name, env)
+    others = sorted(sha256(path) for path in files - {Path(name).resolve()})  # a zip file is known already
+    return policy, hashlib.sha256(" ".join([digest, *others]).encode()).hexdigest() if others else digest
+
+
+def _made(name: str, env: gym.Env[Any, Any]) -> Policy:
+    """The policy of "FILE:MAKE"."""
     make = load_object(name)
     try:
         inspect.signature(make).bind(env)
     except TypeError as error:
         raise ValueError(f"{name} must be a function of one argument, the environment: {error}.") from None
-    return as_policy(make(env), name)
+    try:
+        found = make(env)
+    except Exception as error:
+        raise ValueError(f"{name} cannot make a policy: {type(error).__name__}: {error}") from error
+    return as_policy(found, name)

@@ -15,6 +15,7 @@ from agents import pretrained
 from agents.compiled import Compiled
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
+from agents.plugins import sha256
 from agents.policies import foreign_policy
 from agents.rules import make_policy
 from tests.agents.networks import weights
@@ -50,12 +51,73 @@ def test_a_model_of_stable_baselines3_drives(tmp_path: Path, algorithm: str) -> 
     stable_baselines3 = pytest.importorskip("stable_baselines3")
     model = getattr(stable_baselines3, algorithm)("MlpPolicy", ROAD, seed=0, device="cpu")
     model.save(tmp_path / "model.zip")
-    policy = foreign_policy(str(tmp_path / "model.zip"), ROAD)
+    policy, _ = foreign_policy(str(tmp_path / "model.zip"), ROAD)
     policy.reset(0)
     for observation in np.random.default_rng(0).uniform(-1, 1, (5, 2, 5)).astype(np.float32):
         assert policy.act(observation) == model.predict(observation, deterministic=True)[0]
     with pytest.raises(ValueError, match="observation_space"):
         foreign_policy(str(tmp_path / "model.zip"), gym.make("CartPole-v1"))
+
+
+def test_a_model_of_a_normalised_training_sees_what_it_saw_there(tmp_path: Path) -> None:
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    seen = VecNormalize(DummyVecEnv([lambda: FakeEnv("u-turn", {})]))
+    model = stable_baselines3.DQN("MlpPolicy", seen, seed=0, device="cpu", learning_starts=10)
+    model.learn(60)
+    model.save(tmp_path / "model.zip")
+    raw, _ = foreign_policy(str(tmp_path / "model.zip"), ROAD)
+    seen.save(str(tmp_path / "vecnormalize.pkl"))
+    policy, _ = foreign_policy(str(tmp_path / "model.zip"), ROAD)
+    observations = np.random.default_rng(0).uniform(-1, 1, (50, 2, 5)).astype(np.float32)
+    wanted = [model.predict(seen.normalize_obs(one), deterministic=True)[0] for one in observations]
+    assert [policy.act(one) for one in observations] == wanted != [raw.act(one) for one in observations]
+    (tmp_path / "vecnormalize.pkl").write_bytes(b"damaged")
+    with pytest.raises(ValueError, match=r"vecnormalize.pkl cannot be read"):
+        foreign_policy(str(tmp_path / "model.zip"), ROAD)
+
+
+READER = """
+import pathlib
+import numpy as np
+HERE = pathlib.Path(__file__).parent
+TABLE = np.load(HERE / "table.npy")
+
+class Policy:
+    def __init__(self, text):
+        self.act = lambda observation: len(text)
+
+def make(env):
+    return Policy((HERE / "weights.txt").read_text())
+"""
+
+
+def test_what_a_policy_is_follows_its_code_and_what_it_reads(tmp_path: Path) -> None:
+    def digest() -> str:
+        return foreign_policy(f"{tmp_path / 'mine.py'}:make", ROAD)[1]
+
+    files: dict[str, tuple[bytes, bytes]] = {
+        "mine.py": (READER.encode(), READER.encode() + b"# another"),
+        "table.npy": (b"", b""),
+        "weights.txt": (b"one", b"two"),
+    }
+    for name, (first, _) in files.items():
+        (tmp_path / name).write_bytes(first)
+    np.save(tmp_path / "table.npy", np.zeros(3))
+    whole, found = (tmp_path / "table.npy").read_bytes(), {digest()}
+    files["table.npy"] = whole, whole[:-1] + b"1"
+    (tmp_path / "beside.txt").write_text("not read")
+    assert {digest()} == found
+    for name, (first, second) in files.items():
+        (tmp_path / name).write_bytes(second)
+        found.add(digest())
+        (tmp_path / name).write_bytes(first)
+    assert len(found) == 4 and digest() in found
+    (tmp_path / "mine.py").write_text(
+        "def make(env):\n    return type('P', (), {'act': lambda self, seen: 1})()\n"
+    )
+    assert digest() == sha256(tmp_path / "mine.py")
 
 
 # -- trained agents in one file --------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ def entrants(policy: str, part: str = "") -> dict[Place, Entrant]:
     """
     places = [(task, level) for task, levels in SETTINGS.items() for level in levels]
     if policy in RULES or policy.endswith(".zip") or ":" in policy:
-        make = make_policy if policy in RULES else foreign_policy
+        make = make_policy if policy in RULES else _foreign
         names = {at: policy.replace("{task}", at[0]).replace("{level}", at[1]) for at in places}
         return {at: Entrant(name, at, partial(_plain, make, name)) for at, name in names.items()}
     trained = _stored(Path(policy), part) if Path(policy).is_dir() else _published(policy)
@@ -71,6 +71,10 @@ def entrants(policy: str, part: str = "") -> dict[Place, Entrant]:
 
 def _plain(make: Callable[[str, Env], Policy], name: str, env: Env) -> tuple[Env, Policy]:
     return env, make(name, env)
+
+
+def _foreign(name: str, env: Env) -> Policy:
+    return foreign_policy(name, env)[0]
 
 
 def _loaded(name: str, env: Env) -> tuple[Env, Policy]:

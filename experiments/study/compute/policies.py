@@ -46,7 +46,7 @@ def driver(
     if source is not None:
         check(source, key["profile"])
     if weights is None:
-        return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
+        return env, foreign_policy(source, env)[0] if source else make_policy(key["policy"], env)
     env = observed(env, TrainingRules.of(key["profile"]))
     learner, settings = learner_of(key, source)
     return env, as_policy(learner.load(weights, settings, env), f"load of the learner {key['policy']}")

@@ -42,25 +42,24 @@ class ByHand:
         self,
         batch: Batch,
         adam: dict[str, Tensor],
-        gamma: float,
-        bounds: tuple[float, float] | None,
+        limits: tuple[Tensor, Tensor] | None,
         max_norm: float,
         rate: float,
         tau: float,
     ) -> tuple[float, int]:
-        """One update, see `DQN.update`; returns the loss, and how many goals were beyond the bounds.
+        """One update, see `DQN.update`; returns the loss, and how many goals were beyond the limits.
 
-        adam: its state as torch keeps it, empty in the beginning. bounds: of the goals, None for none.
+        adam: its state as torch keeps it, empty in the beginning. limits: of the goals (n,), None for none.
         """
-        observations, actions, rewards, after, terminated = (part.numpy() for part in batch)
+        observations, actions, rewards, after, discounts, _ = (part.numpy() for part in batch)
         count = len(actions)
         rows = np.arange(count)
         # one pass of the online network over both observations
         q = self.online(np.concatenate([observations, after]))
         value = self.target(after)[rows, q[count:].argmax(1)]
-        goal, clipped = rewards + gamma * (1 - terminated) * value, 0
-        if bounds is not None:
-            free, goal = goal, goal.clip(*bounds)
+        goal, clipped = rewards + discounts * value, 0
+        if limits is not None:
+            free, goal = goal, goal.clip(*(limit.numpy() for limit in limits))
             clipped = int((goal != free).sum())
         error = q[rows, actions] - goal
         gradient = np.zeros_like(q[:count])

@@ -7,7 +7,7 @@ again, and gives the same bits.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +23,7 @@ from agents.episodes import Episodes
 from agents.greedy import Greedy, best
 from agents.learner import Trained, check_numbers
 from agents.models import Network, Standardised, flatten, network_class, unflattened
-from agents.replay_memory import Batch, Replay
+from agents.replay_memory import Batch, Replay, Step, transitions
 from agents.streams import episode_seed, number, stream
 
 
@@ -42,8 +42,12 @@ class DQNConfig:
     learning_rate: float = 5e-4  # of Adam (paper)
     learning_rate_final: float = 0.0  # reached linearly at the last update
     gamma: float = 0.95  # discount a step (paper: .99)
+    n_steps: int = 1  # rewards in a goal, at most: it ends before the next random action
     batch_size: int = 64  # (paper: 100)
     clip_goals: bool = True  # at what the rewards met so far allow at this discount, see `DQN.bounds`
+    horizon: int = (
+        0  # steps after which every episode is terminated, which bounds goals further; 0: there is none
+    )
     max_grad_norm: float = 10.0  # of the whole gradient (Stable-Baselines3)
     target_interval: int = 1  # updates between two moves of the target network towards the online network
     # how far it moves, 1 is a copy; as far in four steps as .005 (Lillicrap et al. 2016)
@@ -61,7 +65,7 @@ class DQNConfig:
     by_hand: bool = True
 
     def __post_init__(self) -> None:
-        check_numbers(self, may_be_0=("learning_rate_final", "epsilon_final"))
+        check_numbers(self, may_be_0=("learning_rate_final", "epsilon_final", "horizon"))
         if self.gamma >= 1:
             raise ValueError(f"gamma must be below 1, got {self.gamma!r}")
         for name in ("tau", "learning_rate_final", "epsilon_final"):
@@ -119,6 +123,8 @@ class DQN:
         self.config = config
         self.seed = seed
         self.updates = self.clipped = 0
+        self.least = self.most = 0.0  # of all rewards met so far, and of none
+        self.horizon = config.horizon or math.inf
         self.replay = Replay(config.replay_capacity, space.shape)
         self._exploration = stream(seed, "exploration")
         self._sampling = stream(seed, "replay")
@@ -136,11 +142,23 @@ class DQN:
 
             self._by_hand = ByHand(self.online, self.target, self._weights, self._target_weights)
 
-    def act(self, observation: np.ndarray, epsilon: float) -> int:
-        """A random action with probability ``epsilon``, else the greedy one."""
+    def act(self, observation: np.ndarray, epsilon: float) -> tuple[int, bool]:
+        """A random action with probability ``epsilon``, else the greedy one; and which of them it is."""
         if self._exploration.random() < epsilon:
-            return int(self._exploration.integers(self.actions))
-        return best(self.q(observation[None])[0])
+            return int(self._exploration.integers(self.actions)), True
+        return best(self.q(observation[None])[0]), False
+
+    def remember(self, episode: Sequence[Step]) -> None:
+        """Store the transitions of an episode. Raises ValueError for one that goes on beyond the horizon."""
+        if len(episode) > self.horizon or (len(episode) == self.horizon and not episode[-1].terminated):
+            raise ValueError(
+                f"horizon is {self.horizon}, but after {len(episode)} steps an episode was not terminated: give the "
+                "steps of a time limit that terminates episodes, or 0"
+            )
+        for transition in transitions(episode, self.config.gamma, self.config.n_steps, self.horizon):
+            self.replay.add(transition)
+        rewards = [step.reward for step in episode]
+        self.least, self.most = min(self.least, *rewards), max(self.most, *rewards)
 
     @torch.inference_mode()
     def q(self, observations: np.ndarray) -> np.ndarray:
@@ -158,15 +176,22 @@ class DQN:
         for network in (self.online, self.target):
             network.fit(seen)
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """What no discounted sum of rewards like those met so far is below or above; an episode may end at any time.
+    def bounds(self, left: Any) -> tuple[Any, Any]:
+        """What no discounted sum of rewards like those met so far is below or above, in so many steps (a float, or a
+        tensor of them); an episode may end at any time.
 
         So a goal beyond is an error of the target network. Rewards that are still to be met extend the bounds before
         they are in any batch.
         """
-        steps = 1.0 / (1.0 - self.config.gamma)
-        return self.replay.least * steps, self.replay.most * steps
+        steps = (1.0 - self.config.gamma**left) / (1.0 - self.config.gamma)
+        return self.least * steps, self.most * steps
+
+    def _limits(self, batch: Batch) -> tuple[Tensor, Tensor] | None:
+        """Of the goals of a batch, as float32."""
+        if not self.config.clip_goals:
+            return None
+        least, most = self.bounds(batch.left)
+        return least.float(), most.float()
 
     def update(self) -> Tensor:
         """One gradient step on a batch from the replay, then a move of the target network.
@@ -179,10 +204,8 @@ class DQN:
         self.updates += 1
         tau = config.tau if self.updates % config.target_interval == 0 else 0.0
         if self._by_hand:
-            adam, bounds = self._optimizer.state[self._weights], self.bounds if config.clip_goals else None
-            loss, clipped = self._by_hand.update(
-                batch, adam, config.gamma, bounds, config.max_grad_norm, rate, tau
-            )
+            adam, limits = self._optimizer.state[self._weights], self._limits(batch)
+            loss, clipped = self._by_hand.update(batch, adam, limits, config.max_grad_norm, rate, tau)
             self.clipped += clipped
             return torch.tensor(loss)
         return self._update(batch, rate, tau)
@@ -207,9 +230,9 @@ class DQN:
         with torch.no_grad():
             chosen = self.online(batch.next_observations).argmax(1, keepdim=True)
             value = self.target(batch.next_observations).gather(1, chosen).squeeze(1)
-            goal = batch.rewards + self.config.gamma * (1.0 - batch.terminated) * value
-            if self.config.clip_goals:
-                free, goal = goal, goal.clamp(*self.bounds)
+            goal = batch.rewards + batch.discounts * value
+            if limits := self._limits(batch):
+                free, goal = goal, goal.clamp(*limits)
                 self.clipped += int((goal != free).sum())
 
         # Squared error, never Huber's with delta 1: at gamma .99 that prices a crash at one step of reward.
@@ -248,12 +271,14 @@ class Training:
 
     def _play_episode(self) -> None:
         observation, _ = self.env.reset(seed=episode_seed(self.agent.seed, len(self.env.rows["episode"])))
+        episode: list[Step] = []
         ended = False
         while not ended:
-            action = self.agent.act(observation, self.agent.config.epsilon(self.env.steps))
+            action, is_random = self.agent.act(observation, self.agent.config.epsilon(self.env.steps))
             after, reward, terminated, truncated, _ = self.env.step(action)
-            self.agent.replay.add(observation, action, float(reward), after, bool(terminated))
+            episode.append(Step(observation, action, float(reward), after, bool(terminated), is_random))
             observation, ended = after, terminated or truncated
+        self.agent.remember(episode)
 
     def watch(self) -> None:
         """Note the Q-values on the probe, and how many goals were clipped."""
@@ -272,7 +297,7 @@ class Training:
             "steps": self.env.steps,
             "updates": self.agent.updates,
             "probe_q": self.probe_q,
-            "q_bound": max(map(abs, self.agent.bounds)),
+            "q_bound": max(map(abs, self.agent.bounds(self.agent.horizon))),
         }
         if self.agent.config.clip_goals:
             record["goals_clipped"] = self.goals_clipped

@@ -16,6 +16,7 @@ from torch.nn import functional
 
 from agents.dqn import DQN, DQNConfig
 from agents.models import unflattened
+from agents.replay_memory import Step, transitions
 from tests.agents.networks import Noisy, Small
 from tests.experiments.fake_env import FakeEnv
 
@@ -36,7 +37,7 @@ def fill(agent: DQN, count: int) -> None:
     for _ in range(count):
         observation, after = generator.normal(size=(2, INPUTS))
         action, reward = int(generator.integers(ACTIONS)), 0.3 * generator.random()
-        agent.replay.add(observation, action, reward, after, bool(generator.random() < 0.2))
+        agent.remember([Step(observation, action, reward, after, bool(generator.random() < 0.2))])
 
 
 def weights(module: nn.Module) -> np.ndarray:
@@ -52,7 +53,8 @@ def attentive(config: DQNConfig) -> DQN:
     for _ in range(100):
         pair = generator.uniform(-1, 1, (2, 4, INPUTS))
         pair[:, generator.integers(1, 5) :] = 0.0
-        agent.replay.add(pair[0], int(generator.integers(ACTIONS)), 0.3, pair[1], generator.random() < 0.2)
+        action = int(generator.integers(ACTIONS))
+        agent.remember([Step(pair[0], action, 0.3, pair[1], bool(generator.random() < 0.2))])
     agent.standardise()
     return agent
 
@@ -88,10 +90,11 @@ def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(
     stored = agent.replay.arrays["rewards"][: len(agent.replay)]
     clipped = 0
     for update in range(20):
-        s, action, reward, after, terminated = agent.replay.sample(sampling, config.batch_size)
+        s, action, reward, after, discount, _ = agent.replay.sample(sampling, config.batch_size)
         rows = torch.arange(len(action))
         with torch.no_grad():
-            goal = reward + config.gamma * (1 - terminated) * target(after)[rows, online(after).argmax(1)]
+            assert set(discount.tolist()) <= {0.0, float(np.float32(config.gamma))}
+            goal = reward + discount * target(after)[rows, online(after).argmax(1)]
             if clip:
                 beyond = goal > stored.max() / (1 - config.gamma)
                 clipped += int(beyond.sum())
@@ -110,6 +113,66 @@ def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(
     np.testing.assert_allclose(weights(agent.target), weights(target), atol=1e-5)
     assert np.abs(weights(agent.online) - before).max() > 1e-3
     assert agent.clipped == clipped and (clipped > 50) == clip
+
+
+@pytest.mark.parametrize("n_steps", [1, 2, 3, 7])
+def test_goals_of_several_steps_end_at_random_actions_and_at_ends(n_steps: int) -> None:
+    """Against sums over the whole episode, for random episodes that crash or are cut."""
+    generator, gamma = np.random.default_rng(n_steps), 0.9
+    lengths = set()
+    for _ in range(200):
+        length, crashes = int(generator.integers(1, 9)), bool(generator.random() < 0.5)
+        rewards, is_random = generator.normal(size=length), generator.random(length) < 0.3
+        episode = [
+            Step(np.array(k), k, rewards[k], np.array(k + 1), crashes and k == length - 1, bool(is_random[k]))
+            for k in range(length)
+        ]
+        for start, found in enumerate(transitions(episode, gamma, n_steps, 20.0)):
+            cuts = [k for k in range(start + 1, length) if is_random[k]]
+            end = min([start + n_steps, length, *cuts[:1]])
+            there = np.arange(start, end)
+            assert found.reward == pytest.approx((gamma ** (there - start) * rewards[there]).sum())
+            assert found.discount == pytest.approx(
+                0.0 if crashes and end == length else gamma ** (end - start)
+            )
+            assert (found.observation, found.action, found.next_observation) == (start, start, end)
+            assert found.left == 20.0 - start
+            lengths.add(end - start)
+    assert lengths == {*range(1, n_steps + 1)}
+
+
+@pytest.mark.parametrize("by_hand", [False, True])
+def test_goals_are_clipped_to_what_the_time_left_allows(by_hand: bool) -> None:
+    """Each at its own limit: rewards of at most .3 in the steps from its observation to the horizon."""
+    horizon = 6
+    config = dataclasses.replace(SMALL, tau=0.05, clip_goals=True, horizon=horizon, batch_size=64)
+    agent = attentive(config) if by_hand else make(config, inputs=INPUTS)
+    generator = np.random.default_rng(0)
+    shape = agent.replay.arrays["observations"].shape[1:]
+    agent.replay.added = 0
+    for _ in range(30):
+        seen = generator.uniform(-1, 1, (horizon + 1, *shape))
+        episode = [Step(seen[k], 0, 0.3, seen[k + 1], k == horizon - 1) for k in range(horizon)]
+        agent.remember(episode)
+    inner: Any = agent.target.network
+    (inner.decision if by_hand else inner).value[-1].bias.data += 50.0
+    batch = agent.replay.sample(copy.deepcopy(agent._sampling), config.batch_size)
+    limits = 0.3 * (1 - config.gamma ** batch.left.numpy()) / (1 - config.gamma)
+    assert limits == pytest.approx(
+        np.array([sum(0.3 * config.gamma**k for k in range(int(n))) for n in batch.left])
+    )
+    q = agent.q(batch.observations.numpy())[np.arange(64), batch.actions]
+    goals = np.where(batch.discounts == 0.0, 0.3, limits)  # all others are far beyond
+    assert agent.update().item() == pytest.approx(np.square(q - goals).mean(), rel=1e-3)
+    assert agent.clipped == int((batch.discounts > 0.0).sum()) > 30
+
+
+@pytest.mark.parametrize(("length", "crashes"), [(6, False), (7, True)])
+def test_a_horizon_beyond_which_episodes_go_on_is_refused(length: int, crashes: bool) -> None:
+    agent = make(dataclasses.replace(SMALL, horizon=6))
+    seen = np.zeros(INPUTS)
+    with pytest.raises(ValueError, match=f"horizon is 6, but after {length} steps"):
+        agent.remember([Step(seen, 0, 0.3, seen, crashes and k == length - 1) for k in range(length)])
 
 
 def test_the_first_update_is_that_of_stable_baselines3() -> None:
@@ -134,7 +197,10 @@ def test_the_first_update_is_that_of_stable_baselines3() -> None:
     for net in (model.q_net, model.q_net_target):
         net.q_net = copy.deepcopy(agent.policy().network.requires_grad_())
     model.policy.optimizer = torch.optim.Adam(model.q_net.parameters(), lr=5e-4, eps=0.5e-8)
-    s, action, reward, after, ended = agent.replay.sample(copy.deepcopy(agent._sampling), SMALL.batch_size)
+    s, action, reward, after, discount, _ = agent.replay.sample(
+        copy.deepcopy(agent._sampling), SMALL.batch_size
+    )
+    ended = (discount == 0.0).float()
     samples = ReplayBufferSamples(s, action[:, None], after, ended[:, None], reward[:, None], None)
     model.replay_buffer.sample = lambda *_, **__: samples
     before = weights(agent.online)
@@ -161,7 +227,7 @@ def test_values_and_policy_of_a_known_decision_process() -> None:
         state, action = int(generator.integers(states)), int(generator.integers(ACTIONS))
         after = int(generator.choice(states, p=transitions[state, action]))
         crashed = bool(generator.random() < crash[state, action])
-        agent.replay.add(features[state], action, rewards[state, action], features[after], crashed)
+        agent.remember([Step(features[state], action, rewards[state, action], features[after], crashed)])
     agent.standardise()
     for _ in range(2000):
         agent.update()
@@ -217,10 +283,10 @@ def test_exploration_share_and_greedy_actions() -> None:
     agent.update()
     observation = np.ones(INPUTS)
     best = int(agent.q(observation[None]).argmax())
-    assert {agent.act(observation, 0.0) for _ in range(50)} == {best}
-    counts = np.bincount([agent.act(observation, 1.0) for _ in range(3000)], minlength=3)
-    assert np.abs(counts - 1000).max() < 150
-    greedy = np.mean([agent.act(observation, 0.3) == best for _ in range(3000)])
+    assert {agent.act(observation, 0.0) for _ in range(50)} == {(best, False)}
+    actions, are_random = zip(*(agent.act(observation, 1.0) for _ in range(3000)), strict=True)
+    assert np.abs(np.bincount(actions, minlength=3) - 1000).max() < 150 and all(are_random)
+    greedy = np.mean([agent.act(observation, 0.3)[0] == best for _ in range(3000)])
     assert greedy == pytest.approx(0.8, abs=0.04)  # .7, and a third of the random .3
 
 

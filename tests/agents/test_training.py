@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from agents.dqn import DQN, DQNConfig, Training, train
 from agents.learner import Trained
-from agents.replay_memory import Replay
+from agents.replay_memory import Replay, Step, Transition
 from tests.agents import networks
 from tests.agents.networks import Small, weights
 from tests.experiments.fake_env import FakeEnv
@@ -97,9 +97,9 @@ def test_goals_beyond_what_rewards_allow_are_clipped_and_counted() -> None:
     assert [row[0] for row in rows] == [row[0] for row in clipped.record["probe_q"]]
     assert all(0 <= share <= 1 for _, share in rows)
     agent = DQN(config, road().observation_space, road().action_space, 0, Small)
-    for reward in (-0.5, 0.25):
-        agent.replay.add(np.zeros((2, 5)), 0, reward, np.zeros((2, 5)), False)
-    assert agent.bounds == pytest.approx((-50.0, 25.0))
+    seen = np.zeros((2, 5))
+    agent.remember([Step(seen, 0, reward, seen, False) for reward in (-0.5, 0.25)])
+    assert agent.bounds(agent.horizon) == pytest.approx((-50.0, 25.0))
     watched = Training(agent, road())
     for agent.updates, agent.clipped in ((10, 16), (14, 24)):
         watched.watch()
@@ -132,13 +132,14 @@ def test_the_time_limit_is_no_end_to_the_values() -> None:
     crashes, lengths = sum(played.env.rows["crashed"]), played.env.rows["length"]
     assert max(lengths) == 20
     assert crashes < len(lengths)
-    assert agent.replay.arrays["terminated"][: len(agent.replay)].sum() == crashes
+    assert (agent.replay.arrays["discounts"][: len(agent.replay)] == 0.0).sum() == crashes
 
 
 def filled(capacity: int, count: int) -> Replay:
     replay = Replay(capacity, (2, 2))
     for i in range(count):
-        replay.add(np.full((2, 2), i), i % 3, i / 10, np.full((2, 2), i + 1), terminated=i % 5 == 4)
+        seen, after = np.full((2, 2), i), np.full((2, 2), i + 1)
+        replay.add(Transition(seen, i % 3, i / 10, after, float(i % 5 != 4), i))
     return replay
 
 
@@ -156,4 +157,6 @@ def test_the_oldest_transition_makes_room_and_a_batch_holds_whole_ones() -> None
     assert torch.equal(batch.next_observations[:, 1, 1], number + 1)
     assert torch.equal(batch.actions, number.long() % 3)
     torch.testing.assert_close(batch.rewards, number / 10)
-    assert torch.equal(batch.terminated, (number % 5 == 4).float())
+    assert torch.equal(batch.discounts, (number % 5 != 4).float()) and torch.equal(
+        batch.left, number.double()
+    )

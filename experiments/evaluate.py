@@ -34,14 +34,15 @@ import tyro
 
 from experiments.reporting.card import ALL, part, rows, texts
 from experiments.reporting.page import render
-from experiments.study.compute.entrants import entrants, take
+from experiments.study.compute.entrants import entrants
+from experiments.study.compute.frozen_test import resolved, take
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.options import TaskNames
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, in_words, writing
 from experiments.support.files import read_json, sha256_bytes, write_file, write_json
 from experiments.support.provenance import provenance
-from sumo_env.benchmark import SIZE, benchmark_scenarios, stored
+from sumo_env.benchmark import SETTINGS, SIZE, benchmark_scenarios, stored
 
 ENTRIES = Path(__file__).resolve().parents[1] / "results" / "entries.json"
 CARD, PAGE = "card.json", "card.html"
@@ -72,7 +73,9 @@ def evaluated(options: Options, arguments: Sequence[str]) -> dict[str, Any]:
     Raises:
         UserError: there is no such policy or task, or the policy does not fit an environment.
     """
-    who = entrants(options.policy, options.agent)
+    who = entrants(
+        options.policy, [(task, name) for task in SETTINGS for name in SETTINGS[task]], options.agent
+    )
     tasks = options.tasks or tuple(dict.fromkeys(task for task, _ in who))
     with in_words():
         scenarios = benchmark_scenarios(tasks, options.quick)
@@ -82,13 +85,15 @@ def evaluated(options: Options, arguments: Sequence[str]) -> dict[str, Any]:
         pass
     check_dynamics(("sumo", task) for task in tasks)
     groups = {group: list(own) for group, own in groupby(scenarios, lambda one: one.group)}
+    who = resolved(who, groups)
     episodes, digests = take(who, groups)
     return {
         "name": options.entry or Path(options.policy).name,
         "command": shlex.join(["python", "experiments/evaluate.py", *arguments]),
         "date": time.strftime("%Y-%m-%d"),
         "scenarios": len(scenarios) // len(groups),
-        "drivers": {f"{task} {level}": one.name for (task, level), one in who.items() if task in tasks},
+        "drivers": {f"{task} {level}": one.name for (task, level), one in who.items()},
+        "digests": {f"{task} {level}": one.digest for (task, level), one in who.items()},
         "set": {task: identity(task) for task in tasks},
         "changed": [group for group in groups if digests[group] != stored(group, options.quick)],
         "provenance": provenance(),

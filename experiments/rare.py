@@ -26,26 +26,25 @@ import math
 import shlex
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import tyro
 
-from agents.files import DamagedFile
-from agents.plugins import foreign
 from experiments.analysis import rare as analysis
 from experiments.backends import make_env
 from experiments.reporting.rare import rare_figure
+from experiments.study.compute.entrants import entrant_of
 from experiments.study.compute.executors import EXECUTORS, open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
 from experiments.study.compute.progress import ProgressDisplay
 from experiments.study.compute.rare import Batch, Question
 from experiments.study.compute.run import run
-from experiments.study.design.fingerprint import known_dynamics
+from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, check_known, in_words, writing
+from experiments.support.errors import UserError, check_known, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
 from sumo_env.tasks import TASKS
@@ -125,16 +124,11 @@ def question(options: Options, policy: str) -> Question:
     ):
         if not is_right:
             raise UserError(f"--{name} is {least}, not {getattr(options, name)}")
-    is_file = policy.endswith(".zip") or ":" in policy
-    with in_words((ValueError, DamagedFile)):
-        dynamics = known_dynamics("sumo", options.task)
-        own = options.dose, options.reach, options.seed, dynamics
-        found = Question(policy, options.task, level, *own)
-        entrant = found.entrant
-        with closing(make_env("sumo", found.task, found.config)) as env:
-            entrant.make(env)
-        identity = foreign(entrant.name)[1] if is_file else entrant.name
-    return replace(found, identity=f"{identity} {dynamics}")
+    entrant = entrant_of(policy, options.task, level)
+    own = options.dose, options.reach, options.seed, dynamics("sumo", options.task)
+    found = Question(entrant, options.task, level, *own)
+    with closing(make_env("sumo", found.task, found.config)) as env:
+        return replace(found, driver=entrant.resolved(env))
 
 
 def drive(
@@ -170,7 +164,7 @@ def curve_of(
     curve = analysis.curve(episodes, rates)
     curve.insert(1, "events_per_hour", 3600.0 * asked.events * curve["rate"])
     stored = {
-        "question": asdict(asked),
+        "question": asked.key,
         "levels": levels,
         "episodes": len(episodes),
         "steps": int(episodes["steps"].sum()),
@@ -183,6 +177,7 @@ def rare(options: Options, arguments: Sequence[str]) -> int:
     """Do what the options ask for; returns the exit status."""
     rates, curves, stored = rates_of(options.rates), dict[str, pd.DataFrame](), dict[str, dict[str, Any]]()
     questions = {policy: question(options, policy) for policy in options.policies}
+    check_dynamics([("sumo", options.task)])
     with writing(options.out):
         for policy, asked in questions.items():
             curves[policy], stored[policy] = curve_of(options, asked, rates)

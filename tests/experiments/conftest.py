@@ -12,7 +12,7 @@ import pytest
 def in_this_process(patch: pytest.MonkeyPatch) -> None:
     """Cells and episodes are computed in a thread, which starts at once."""
     patch.setattr("experiments.study.compute.cells.open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
-    for module in ("validation.episodes", "study.compute.entrants"):
+    for module in ("validation.episodes", "study.compute.frozen_test"):
         patch.setattr(f"experiments.{module}.LocalExecutor", lambda _: ThreadPoolExecutor(1))
 
 

@@ -14,7 +14,7 @@ import pytest
 import agents
 from experiments import evaluate
 from experiments.reporting.card import ALL, rows
-from experiments.study.compute.entrants import entrants
+from experiments.study.compute.entrants import entrant_of, entrants
 from experiments.support.errors import UserError
 from sumo_env.benchmark import SETTINGS, TRAFFICS
 
@@ -65,7 +65,7 @@ def test_another_set_says_so_and_enters_no_table(short: Path, tmp_path: Path, mo
     with pytest.raises(UserError, match="frozen scenarios alone"):
         taken("slower", tmp_path, entry="slow")
     assert not short.exists()
-    monkeypatch.setattr("experiments.study.compute.entrants.digest", lambda _: "same")
+    monkeypatch.setattr("experiments.study.compute.frozen_test.digest", lambda _: "same")
     monkeypatch.setattr(evaluate, "stored", lambda group, quick=False: "same")
     first = taken("slower", tmp_path, entry="slow")
     second = taken("idle", tmp_path, entry="idle")
@@ -77,16 +77,16 @@ def test_another_set_says_so_and_enters_no_table(short: Path, tmp_path: Path, mo
 
 def test_who_drives_where() -> None:
     places = {(task, level) for task, levels in SETTINGS.items() for level in levels}
-    control = entrants("control")  # published agents, each in the setting of its training
+    control = entrants("control", places)  # published agents, each in the setting of its training
     assert control.keys() == places and control["u-turn", "12"].name == "u-turn-12/control"
     there = agents.cards()
     for (task, level), one in control.items():  # or else in one of the same task
         name = f"{task}-{level}/control"
         assert one.name == name or (name not in there and one.name.startswith(f"{task}-"))
-    assert {task: one.name for (task, _), one in entrants("u-turn-3/treatment").items()} == {
+    assert {task: one.name for (task, _), one in entrants("u-turn-3/treatment", places).items()} == {
         "u-turn": "u-turn-3/treatment"
     }
-    assert entrants("{task}-{level}.zip")["highway", "50"].name == "highway-50.zip"
+    assert entrant_of("{task}-{level}.zip", "highway", "50").name == "highway-50.zip"
 
 
 def test_of_stored_agents_the_last_one_drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -94,7 +94,12 @@ def test_of_stored_agents_the_last_one_drives(monkeypatch: pytest.MonkeyPatch, t
     records = {name: {"key": key, "timing": {"finished": f"1 May 0{k}"}} for k, name in enumerate("bca")}
     store = SimpleNamespace(records=lambda: records, weights=lambda name: tmp_path)
     monkeypatch.setattr("experiments.study.compute.entrants.Store", lambda _: store)
-    assert entrants(str(tmp_path))["u-turn", "3"].name == "a"
+    assert entrant_of(str(tmp_path), "u-turn", "3").name == "a"
+    before = entrant_of(str(tmp_path), "u-turn", "3")
+    records["d"] = {"key": key, "timing": {"finished": "1 May 09"}}  # as the folder is trained in
+    assert (before.name, entrant_of(str(tmp_path), "u-turn", "3").name) == ("a", "d")
+    with pytest.raises(UserError, match="trained for highway"):
+        entrant_of(str(tmp_path), "highway", "50")
 
 
 def test_the_numbers_of_a_card_are_those_of_its_episodes() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,10 @@ import pytest
 
 from experiments import rare
 from experiments.reporting.rare import ROADS, rare_figure
+from experiments.study.compute.rare import Batch
 from experiments.support.errors import UserError
 from experiments.support.files import read_json
+from sumo_env.tasks import TASKS
 
 OPTIONS = rare.Options(("slower",), "u-turn", rates="0.3,1", dose=0.3, episodes=80)
 
@@ -23,6 +26,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rare, "open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
     monkeypatch.setattr(rare, "BATCH", 40)
     monkeypatch.setattr(rare, "PILOT", 20)
+    monkeypatch.setattr(rare, "check_dynamics", lambda _: None)
 
 
 def stored(directory: Path) -> dict[str, Any]:
@@ -68,6 +72,48 @@ def test_rates_are_two_in_each_decade_or_those_that_are_named() -> None:
 def test_a_number_out_of_range_is_refused(wrong) -> None:
     with pytest.raises(UserError, match=f"--{min(wrong)} is "):
         rare.question(replace(OPTIONS, **wrong), "slower")
+
+
+MAKE = """
+from pathlib import Path
+
+class Policy:
+    def act(self, observation):
+        return ACTION
+
+ACTION = int((Path(__file__).parent / "weights.txt").read_text())
+
+def make(env):
+    return Policy()
+"""
+
+
+def test_a_batch_is_driven_by_what_it_was_named_by(tmp_path: Path) -> None:
+    """Other weights behind the same code are another policy, and none that a process drives unnoticed."""
+    (tmp_path / "mine.py").write_text(MAKE)
+    names, seen = set(), []
+    for action in ("1", "4"):
+        (tmp_path / "weights.txt").write_text(action)
+        asked = pickle.loads(pickle.dumps(rare.question(OPTIONS, f"{tmp_path}/mine.py:make")))
+        batch = Batch(asked, tmp_path, "curve", ((1.0, 1.0),), 3, 0)
+        names.add(batch.name)
+        batch.compute(lambda _: None)
+        seen.append(batch.file.read()["steps"].tolist())
+    assert len(names) == 2 and seen[0] != seen[1]
+    (tmp_path / "weights.txt").write_text("1")
+    with pytest.raises(UserError, match="has changed since"):
+        batch.compute(lambda _: None)
+    published = [rare.question(OPTIONS, f"u-turn-3/{arm}").key["digest"] for arm in ("control", "treatment")]
+    assert len({*published, rare.question(OPTIONS, "u-turn-3/control").key["digest"]}) == 2
+
+
+def test_a_simulator_that_has_changed_is_named_before_anything_is_driven(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.undo()
+    rates = TASKS["u-turn"].risk_rates
+    monkeypatch.setattr(type(TASKS["u-turn"]), "risk_rates", type(rates)(brake=1.0))
+    with pytest.raises(UserError, match="does not behave"):
+        rare.rare(replace(OPTIONS, out=tmp_path / "new"), [])
+    assert not (tmp_path / "new").exists()
 
 
 def test_the_figure_has_a_curve_for_each_policy_and_rates_of_roads() -> None:

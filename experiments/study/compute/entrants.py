@@ -1,52 +1,71 @@
-"""Who takes the frozen test of `sumo_env.benchmark`, and how it is driven, in parallel processes."""
+"""Who drives in a test: any policy by its name, resolved once into plain data that every process drives alike."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
-from functools import partial
+import hashlib
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
-import pandas as pd
 
-from agents import pretrained
+from agents import pretrained, rules
 from agents.files import DamagedFile
+from agents.plugins import sha256
 from agents.policies import Policy, foreign_policy
 from agents.rules import MAKERS, POLICIES, make_policy
-from experiments.study.compute.evaluate import play_from
-from experiments.study.compute.executors import cores
-from experiments.study.compute.executors.local import LocalExecutor
 from experiments.study.compute.policies import driver
-from experiments.study.design.arms import stream_seed
-from experiments.study.results.schema import COLUMNS
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError, in_words, unknown
-from sumo_env.benchmark import SETTINGS, BenchmarkScenario, digest
+from experiments.support.files import sha256_bytes
+
+if TYPE_CHECKING:
+    from agents.greedy import Greedy
 
 RULES = tuple(dict.fromkeys((*POLICIES, *MAKERS)))
 Env = gym.Env[Any, Any]
 Place = tuple[str, str]  # task and level
+Made = tuple[
+    Env, Policy, str
+]  # the environment as a policy observes it, the policy, and the SHA-256 of what it is
 
 
-class Entrant(NamedTuple):
-    """Who drives at a task and level.
+@dataclass(frozen=True)
+class Entrant:
+    """Who drives.
 
-    place: that it was trained for. make: the policy for an environment, and that environment as it observes it; raises
-    ValueError where it does not fit.
+    place: task and level that it was trained for, if it was trained here. load: the policy for an environment; raises
+    ValueError where it does not fit. digest: of its weights and its code, once it is `resolved`.
     """
 
     name: str
-    place: Place
-    make: Callable[[Env], tuple[Env, Policy]]
+    place: Place | None
+    load: Callable[[Env], Made]
+    digest: str = ""
+
+    def resolved(self, env: Env) -> Entrant:
+        """With its digest in this environment. Raises UserError where it cannot be made or does not fit."""
+        return replace(self, digest=self._made(env)[2])
+
+    def make(self, env: Env) -> tuple[Env, Policy]:
+        """The environment as it observes it, and the policy. Raises UserError as `resolved`, or if it has changed."""
+        seen, policy, digest = self._made(env)
+        if self.digest not in ("", digest):
+            raise UserError(f"{self.name} has changed since this command began: run the command again")
+        return seen, policy
+
+    @in_words((ValueError, DamagedFile))
+    def _made(self, env: Env) -> Made:
+        return self.load(env)
 
 
-def entrants(policy: str, part: str = "") -> dict[Place, Entrant]:
-    """Who drives at each task and level of the test.
+def entrant_of(policy: str, task: str, level: str, part: str = "") -> Entrant:
+    """Who drives at a task and level; agents that were trained at another level of the task drive at any.
 
-    At a level that no agent was trained in it is one of the same task; tasks that no agent was trained in are not
-    there. Of several agents it is the one that was finished last.
+    Of several agents it is the one that was finished last.
 
     Args:
         policy: a driver of `agents.rules`; a zip file of Stable-Baselines3 or FILE:MAKE, with {task} and {level} in its
@@ -54,44 +73,78 @@ def entrants(policy: str, part: str = "") -> dict[Place, Entrant]:
         part: of the agent's name in the directory.
 
     Raises:
+        UserError: there is nobody of this name, or for this task.
+    """
+    found = entrants(policy, [(task, level)], part)
+    if not found:
+        raise UserError(f"no agent of {policy} was trained for {task}")
+    return found[task, level]
+
+
+def entrants(policy: str, places: Iterable[Place], part: str = "") -> dict[Place, Entrant]:
+    """Who drives at each of these tasks and levels, as `entrant_of`; tasks that no agent was trained in are not there.
+
+    Raises:
         UserError: there is nobody of this name.
     """
-    places = [(task, level) for task, levels in SETTINGS.items() for level in levels]
     if policy in RULES or policy.endswith(".zip") or ":" in policy:
-        make = make_policy if policy in RULES else _foreign
+        load = _rule if policy in RULES else _foreign
         names = {at: policy.replace("{task}", at[0]).replace("{level}", at[1]) for at in places}
-        return {at: Entrant(name, at, partial(_plain, make, name)) for at, name in names.items()}
+        return {at: Entrant(name, None, partial(load, name)) for at, name in names.items()}
     trained = _stored(Path(policy), part) if Path(policy).is_dir() else _published(policy)
     found = {}
     for at in places:
-        if of_task := [one for one in trained if one.place[0] == at[0]]:
+        if of_task := [one for one in trained if one.place and one.place[0] == at[0]]:
             found[at] = next((one for one in of_task if one.place == at), of_task[0])
     return found
 
 
-def _plain(make: Callable[[str, Env], Policy], name: str, env: Env) -> tuple[Env, Policy]:
-    return env, make(name, env)
+def _rule(name: str, env: Env) -> Made:
+    return env, make_policy(name, env), _code_of_rules()
 
 
-def _foreign(name: str, env: Env) -> Policy:
-    return foreign_policy(name, env)[0]
+@cache
+def _code_of_rules() -> str:
+    files = sorted(Path(rules.__file__).parent.glob("*.py"))
+    return sha256_bytes(" ".join(map(sha256, files)).encode())
 
 
-def _loaded(name: str, env: Env) -> tuple[Env, Policy]:
+def _foreign(name: str, env: Env) -> Made:
+    return env, *foreign_policy(name, env)
+
+
+def _loaded(name: str, env: Env) -> Made:
     setting, _, arm = name.partition("/")
-    return env, pretrained.load(setting, arm)
+    policy = pretrained.load(setting, arm)
+    return env, policy, _weights(name, policy)
+
+
+def _agent(name: str, key: dict[str, Any], weights: Path, env: Env) -> Made:
+    """A stored agent. Its cell's name has the digest of all that decides how it acts, but for the weights."""
+    digest = sha256_bytes(f"{name} {sha256(weights)}".encode())
+    return *driver(key, None, env, weights), digest
+
+
+def _weights(name: str, policy: Greedy) -> str:
+    """The SHA-256 of a network's weights."""
+    found = hashlib.sha256(name.encode())
+    for part, value in policy.network.state_dict().items():
+        found.update(f" {part} {tuple(value.shape)} ".encode() + value.numpy().tobytes())
+    return found.hexdigest()
 
 
 def _stored(directory: Path, part: str) -> list[Entrant]:
-    """The agents that have weights and this part in their names; the last one first."""
+    """The agents that were trained on SUMO and have weights and this part in their names; the last one first."""
     store, found = Store(directory), dict[str, Entrant]()
     for name, record in store.records().items():
         key = record["key"]
         if part not in name or key["kind"] != "agent" or key["backend"] != "sumo":
             continue
         if weights := store.weights(name):
-            make = partial(driver, key, None, weights=weights)
-            found[record["timing"]["finished"] + name] = Entrant(name, (key["task"], key["level_name"]), make)
+            place = key["task"], key["level_name"]
+            found[record["timing"]["finished"] + name] = Entrant(
+                name, place, partial(_agent, name, key, weights)
+            )
     if not found:
         named = f" and {part!r} in its name" if part else ""
         raise UserError(f"no agent in {directory} has weights{named}: experiments/train.py --out makes some")
@@ -112,43 +165,3 @@ def _published(policy: str) -> list[Entrant]:
     if not found:
         raise unknown("policy", policy, [*RULES, *arms, "FILE:MAKE", "a zip file", "a directory"])
     return found
-
-
-def drive(entrant: Entrant, scenarios: Sequence[BenchmarkScenario]) -> tuple[pd.DataFrame, str]:
-    """The episodes of one task, level and traffic, with its name, and the digest of their scenarios."""
-    rows, drawn, first = [], [], scenarios[0]
-    env: Any = gym.make(f"sumo_env:{first.id}", config=first.config)
-    with closing(env):
-        with in_words((ValueError, DamagedFile)):
-            seen, policy = entrant.make(env)
-        for one in scenarios:
-            policy.reset(stream_seed("frozen test", one.group, one.number))
-            rows.append({"scenario": one.number, **play_from(seen, policy, one.seed, one.options)})
-            drawn.append(env.unwrapped.scenario)
-    frame = pd.DataFrame(rows).assign(task=first.task, level=first.level, traffic=first.traffic)
-    return frame.astype(COLUMNS), digest(drawn)
-
-
-def take(
-    who: Mapping[Place, Entrant], groups: Mapping[str, list[BenchmarkScenario]]
-) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Drive groups of scenarios in processes; returns all episodes, and the digest of each group's scenarios.
-
-    Raises:
-        UserError: the policy cannot be made, or does not fit an environment; before anything else is driven.
-    """
-    asked = {group: (who[own[0].task, own[0].level], own) for group, own in groups.items()}
-    for entrant, own in asked.values():
-        if own[0].traffic == "regular":
-            drive(entrant, own[:1])
-    executor = LocalExecutor(cores())
-    frames, digests = [], {}
-    try:
-        futures = {group: executor.submit(drive, *of) for group, of in asked.items()}
-        for group, future in futures.items():
-            frame, digests[group] = future.result()
-            frames.append(frame)
-            print(f"{len(frames)}/{len(groups)} groups of scenarios: {group}", flush=True)
-    finally:
-        executor.shutdown(cancel_futures=True)
-    return pd.concat(frames), digests

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,10 @@ import pandas as pd
 
 from agents.policies import Policy
 from experiments.backends import make_env
-from experiments.study.compute.entrants import RULES, Entrant, entrants
+from experiments.study.compute.entrants import Entrant
 from experiments.study.compute.run import Heartbeat
 from experiments.study.design.arms import stream_seed
 from experiments.study.results.part import PartFile
-from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.tasks import TASKS
 
@@ -40,31 +39,28 @@ COLUMNS: dict[str, str] = {
 class Question:
     """Who drives, in what.
 
-    policy: as of `entrants`. dose: of the other drivers' parameters. reach: within which events are near [m].
-    identity: what else decides the result: the policy's file, and what the simulator does.
+    driver: is resolved. dose: of the other drivers' parameters. reach: within which events are near [m]. dynamics: what
+    the simulator does, see `fingerprint.dynamics`.
     """
 
-    policy: str
+    driver: Entrant
     task: str
     level: str
     dose: float
     reach: float
     seed: int
-    identity: str
+    dynamics: str
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """All that decides the result, as plain values."""
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "driver"}
+        return {"policy": self.driver.name, "digest": self.driver.digest, **values}
 
     @property
     def config(self) -> dict[str, Any]:
         """Of the environment."""
         return {**TASKS[self.task].levels[self.level], "risk": self.dose}
-
-    @property
-    def entrant(self) -> Entrant:
-        """Who drives; agents that were trained at another level of the task drive at any. Raises UserError."""
-        found = entrants(self.policy)
-        fitting = [one for (task, _), one in found.items() if task == self.task or self.policy in RULES]
-        if not fitting:
-            raise UserError(f"no agent of {self.policy} was trained for {self.task}")
-        return found.get((self.task, self.level), fitting[0])
 
     @property
     def events(self) -> float:
@@ -117,7 +113,7 @@ class Batch:
     @cached_property
     def name(self) -> str:
         """It says what is computed."""
-        key = {**asdict(self), "directory": "", "silence": 0}
+        key = {**self.question.key, "components": self.components, "rounds": self.rounds}
         return f"{self.part}-{self.number:04d}-{sha256_bytes(canonical_json(key).encode())[:12]}"
 
     @property
@@ -150,7 +146,7 @@ class Batch:
         """Drive and store them."""
         asked, rows = self.question, []
         with closing(make_env("sumo", asked.task, asked.config)) as env:
-            seen, policy = asked.entrant.make(env)
+            seen, policy = asked.driver.make(env)
             for done, episode in enumerate(self.episodes):
                 rows.append(asked.play(seen, policy, *episode))
                 heartbeat(done / len(self.episodes))

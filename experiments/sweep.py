@@ -24,7 +24,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import shlex
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -36,7 +35,6 @@ from experiments.backends import MakeEnv
 from experiments.study.compute.cell_task import CellTask
 from experiments.study.compute.cells import compute
 from experiments.study.compute.executors import EXECUTORS, cores
-from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import duration, seconds
 from experiments.study.compute.run import compute_here
 from experiments.study.design.cell import Cell
@@ -96,7 +94,7 @@ def sweep(
     there = set(Store(options.directory).finished())
     new = [cell for cell in mine if cell.name not in there]
     check_learners((cell.policy, cell.profile) for cell in new if cell.kind == "agent")
-    refuse_early(new, make_env, options.executor)
+    refuse_early(new, options.executor)
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     with writing(options.directory):
         if options.cell:
@@ -124,15 +122,12 @@ def report(directory: Path, strict: bool) -> None:
         print(f"no report: {error}", file=sys.stderr)
 
 
-def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> None:
-    """Raise UserError for what would fail later: a policy's file that does not fit, a missing device, no Slurm."""
+def refuse_early(cells: Iterable[Cell], executor: str) -> None:
+    """Raise UserError for what would fail later: a missing device, no Slurm."""
     if executor == "slurm" and shutil.which("srun") is None:
         raise UserError("--executor slurm is for machines that submit jobs to Slurm: there is no srun")
     for cell in cells:
-        if cell.kind == "baseline" and cell.source:
-            with closing(make_env(cell.backend, cell.task, dict(cell.env_config))) as env:
-                driver(cell.key(), cell.source, env)
-        elif cell.kind == "agent" and executor == "local" and (device := cell.profile.get("device")):
+        if cell.kind == "agent" and executor == "local" and (device := cell.profile.get("device")):
             import torch  # here: not every command needs the learner
 
             try:

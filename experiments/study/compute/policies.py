@@ -18,10 +18,9 @@ from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
 
 
-def check(source: str, profile: Mapping[str, Any]) -> None:
-    """Raise UserError unless the user's file is the one that the cell was named by, ValueError without a file."""
-    _, digits = foreign(source)
-    if digits not in (profile.get(f"{part}_sha256") for part in ("learner", "network", "policy")):
+def check(source: str, digest: str, profile: Mapping[str, Any]) -> None:
+    """Raise UserError unless the user's file is the one that the cell was named by."""
+    if digest not in (profile.get(f"{part}_sha256") for part in ("learner", "network", "policy")):
         raise UserError(
             f"{source} is not the file of the cell, or has changed since: its SHA-256 is another one"
         )
@@ -43,10 +42,14 @@ def driver(
         UserError: the user's file is not named, not there, has changed or does not fit, or the weights belong to
             another network.
     """
-    if source is not None:
-        check(source, key["profile"])
     if weights is None:
-        return env, foreign_policy(source, env)[0] if source else make_policy(key["policy"], env)
+        if source is None:
+            return env, make_policy(key["policy"], env)
+        policy, digest = foreign_policy(source, env)
+        check(source, digest, key["profile"])
+        return env, policy
+    if source is not None:
+        check(source, foreign(source)[1], key["profile"])
     env = observed(env, TrainingRules.of(key["profile"]))
     learner, settings = learner_of(key, source)
     return env, as_policy(learner.load(weights, settings, env), f"load of the learner {key['policy']}")

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from agents.learner import Trained
+from agents.plugins import foreign
 from agents.streams import episode_seed
 from experiments.backends import MakeEnv
 from experiments.study.compute.policies import check
@@ -42,7 +43,7 @@ def train_cell(
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
     if cell.source is not None:
         with in_words():
-            check(cell.source, cell.profile)
+            check(cell.source, foreign(cell.source)[1], cell.profile)
     with ExitStack() as opened:  # an error in there is of this training alone
         make = partial(environments, cell, make_env, seed, opened)
         trained = learner.train(make, settings, seed, progress=progress)

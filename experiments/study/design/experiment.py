@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from agents.plugins import foreign
+from agents.policies import foreign_policy
 from agents.rules import CAUTIONS, DRIVERS, POLICIES
-from experiments.backends import BACKENDS
+from experiments.backends import BACKENDS, make_env
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED
 from experiments.study.design.cell import LEARNER, Cell
 from experiments.study.design.fingerprint import dynamics, learner_name
@@ -80,7 +82,7 @@ class Experiment:
         check_known("backend", (self.backend, *self.test_on), BACKENDS)
         tasks = choose_tasks(self.tasks)
         levels = choose_levels(tasks, self.levels)
-        policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
+        policies = self._policies()
         check_known("driver", self.drivers, DRIVERS)
         rules = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
@@ -98,8 +100,8 @@ class Experiment:
                     replace(common, policy=name, test_on=tests_of(common, TRAFFICS, PLANNED))
                     for name in others
                 ]
-            for label, (source, digits) in policies.items():
-                profile = {**common.profile, "policy_sha256": digits}
+            for label, source in policies.items():
+                profile = {**common.profile, "policy_sha256": _digest_of_policy(source, common)}
                 cells.append(replace(common, policy=label, source=source, profile=profile))
         return cells
 
@@ -123,6 +125,18 @@ class Experiment:
             eval={"episodes": self.episodes, "gate_episodes": self.gate_episodes, **first},
             dynamics=dynamics(self.backend, task),
         )
+
+    def _policies(self) -> dict[str, str]:
+        """The policies of the user's own by their labels. Raises UserError for two of one label."""
+        found: dict[str, str] = {}
+        for source in dict.fromkeys(self.policy):
+            label, _ = foreign(source)
+            if label in found:
+                raise UserError(
+                    f"{found[label]} and {source} are both called {label} in results: rename one of them"
+                )
+            found[label] = source
+        return found
 
     def _agents(self, common: Cell) -> Iterator[Cell]:
         """The agents of a task and level: every arm of each training seed."""
@@ -222,6 +236,16 @@ class Experiment:
     def _changes(self) -> dict[str, Any]:
         """Of config=("collision_reward=-2", "risk_law=linear")."""
         return _assignments(self.config, "--config", "collision_reward=-2")
+
+
+def _digest_of_policy(source: str, cell: Cell) -> str:
+    """What a policy of the user's own is, in the environment of a cell (`agents.policies.foreign_policy`).
+
+    Raises:
+        ValueError: it does not fit.
+    """
+    with closing(make_env(cell.backend, cell.task, dict(cell.env_config))) as env:
+        return foreign_policy(source, env)[1]
 
 
 def is_end(task: str, level: int) -> bool:

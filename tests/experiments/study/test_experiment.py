@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,6 +26,7 @@ from experiments.study.design.levels import choose_levels
 from experiments.study.design.options import Asked
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import WITHOUT, unseen_traffics
+from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
 
@@ -61,6 +63,30 @@ def test_further_arms_tests_and_policies_rename_nothing():
         assert setting_of_agent(c.name) == ("sumo-highway-50" if of_both else ""), c.name
     policies = [{c.policy for c in found if c.kind == "baseline"} for found in (more, usual)]
     assert policies[0] - policies[1] == {"careful-0.1", "careful-0.5", "careful-2", "careful-4"}
+
+
+def test_a_policy_of_one_s_own_is_named_by_what_it_is(tmp_path: Path) -> None:
+    """Its code and what it reads; two of one name would share the cell's name and are refused."""
+    files = [tmp_path / name / "mine.py" for name in ("a", "b")]
+    for file in files:
+        file.parent.mkdir()
+        file.write_text(
+            "from pathlib import Path\nclass Policy:\n    def act(self, seen):\n        return 1\n"
+            "def make(env):\n    Path(__file__).with_name('weights').read_text()\n    return Policy()\n"
+        )
+        file.with_name("weights").write_text("one")
+    one, two = (f"{file}:make" for file in files)
+
+    def named(policy: str) -> str:
+        [cell] = [cell for cell in cells(policy=(policy,)) if cell.source]
+        return cell.name
+
+    first = named(one)
+    assert first == named(two)
+    files[0].with_name("weights").write_text("two")
+    assert first != named(one)
+    with pytest.raises(UserError, match=r"both called mine.py:make in results: rename"):
+        cells(policy=(one, two))
 
 
 def test_another_study_has_other_seeds_and_scenarios():

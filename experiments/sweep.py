@@ -85,10 +85,10 @@ def sweep(
         raise UserError(f"--workers must be at least 1, not {options.workers}")
     check_known("executor", [options.executor], EXECUTORS)
     if options.dry_run:
-        planned = shard(options.cells(known_dynamics), options.shard)
+        planned = shard(options.cells(known_dynamics, make_env), options.shard)
         describe(options, planned, options.workers or cores())
         return 0
-    cells = options.cells()
+    cells = options.cells(make_env=make_env)
     mine = shard(cells, options.shard)
     check(pair for cell in mine for pair in cell.simulated)
     there = set(Store(options.directory).finished())

@@ -12,7 +12,7 @@ from typing import Any
 from agents.plugins import foreign
 from agents.policies import foreign_policy
 from agents.rules import CAUTIONS, DRIVERS, POLICIES
-from experiments.backends import BACKENDS, make_env
+from experiments.backends import BACKENDS, MakeEnv, make_env
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED
 from experiments.study.design.cell import LEARNER, Cell
 from experiments.study.design.fingerprint import dynamics, learner_name
@@ -69,10 +69,11 @@ class Experiment:
     first_scenario: int = 0
 
     @in_words()
-    def cells(self, dynamics: Dynamics = dynamics) -> list[Cell]:
+    def cells(self, dynamics: Dynamics = dynamics, make_env: MakeEnv = make_env) -> list[Cell]:
         """All of its cells: on each task and level the agents, their further tests, and the baselines.
 
         Args:
+            make_env: of `backends`, or another; for policies of the user's own.
             dynamics: what a cell's key says of a simulator's behaviour, from (backend, task). By default a simulator
                 drives a task that `fingerprints.json` does not know.
 
@@ -101,7 +102,7 @@ class Experiment:
                     for name in others
                 ]
             for label, source in policies.items():
-                profile = {**common.profile, "policy_sha256": _digest_of_policy(source, common)}
+                profile = {**common.profile, "policy_sha256": _digest_of_policy(source, common, make_env)}
                 cells.append(replace(common, policy=label, source=source, profile=profile))
         return cells
 
@@ -238,7 +239,7 @@ class Experiment:
         return _assignments(self.config, "--config", "collision_reward=-2")
 
 
-def _digest_of_policy(source: str, cell: Cell) -> str:
+def _digest_of_policy(source: str, cell: Cell, make_env: MakeEnv) -> str:
     """What a policy of the user's own is, in the environment of a cell (`agents.policies.foreign_policy`).
 
     Raises:

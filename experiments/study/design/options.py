@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from experiments.backends import MakeEnv, make_env
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Dynamics, Experiment
 from experiments.study.design.fingerprint import dynamics
@@ -88,9 +89,9 @@ class Asked:
         found = replace(PRESETS[self.preset], **{name: v for name, v in given.items() if v is not None})
         return replace(found, at_ends={}) if self.arms or self.placebo else found
 
-    def cells(self, dynamics: Dynamics = dynamics) -> list[Cell]:
+    def cells(self, dynamics: Dynamics = dynamics, make_env: MakeEnv = make_env) -> list[Cell]:
         """All cells of the experiment. Raises UserError where something does not exist, or asks for nothing."""
-        cells = self.experiment.cells(dynamics)
+        cells = self.experiment.cells(dynamics, make_env)
         for option, is_answered in self._answers(cells):
             if not is_answered:
                 raise UserError(f"{option} asks for nothing here: leave it out")

@@ -15,7 +15,7 @@ from sumo_env.networks.roads import Road
 from sumo_env.scenarios.file_checks import UNSORTED, check_files
 from sumo_env.scenarios.random_traffic import elements
 from sumo_env.scenarios.reward_terms import TERMS, measures_energy, terms
-from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST
+from sumo_env.scene import CLOSING, FOE, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST
 from sumo_env.streams import stream
 from sumo_env.sumo.user_files import (
     configuration,
@@ -282,6 +282,7 @@ class NetworkTask(Task):
                 stopping=tuple(sorted(self._contents.stopping)),
                 duration=float(config["duration"]),
                 measures_energy=measures_energy(config),
+                sees_foes=not {*FOE}.isdisjoint(config["observation"].get("features") or ()),
                 overlaps_are_crashes=bool(config["overlaps_are_crashes"]),
                 car_type=self._car_type,
                 max_cars=self.max_cars,

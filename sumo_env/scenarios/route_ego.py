@@ -41,7 +41,7 @@ class RouteEgo:
         name = vehicle.name
         self._session, self._network, self._name, self.vehicle = session, network, name, vehicle
         self._obeys_lights, self._is_regular = scenario.obeys_lights, scenario.risk == 0.0
-        self._measures_energy = scenario.traffic.measures_energy
+        self._measures_energy, self._sees_foes = scenario.traffic.measures_energy, scenario.traffic.sees_foes
         self.overlaps_count, self.overlap = scenario.traffic.overlaps_are_crashes, ""
         self._class = session.vehicle.getVehicleClass(name)
         self.speed = session.vehicle.getSpeed(name)
@@ -276,7 +276,7 @@ class RouteEgo:
             red_light=self.red_light,
             waiting=waiting,
             neighbours=(NOBODY,) * 6 if gone else self._neighbours(),
-            foe=NOBODY if gone else foe(self._session, self._name),
+            foe=foe(self._session, self._name) if self._sees_foes and not gone else NOBODY,
             target_speed=self.speed if self._target_speed is None else self._target_speed,
             fuel=self._fuel,
             electricity=self._electricity,

@@ -10,6 +10,7 @@ from collections.abc import Collection
 from itertools import chain, product
 from math import inf
 from operator import itemgetter
+from typing import Any
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
@@ -189,14 +190,12 @@ def foe(session: Session, name: str) -> Neighbour:
     """Of the vehicles to which a vehicle has to give way at the next junction, the one nearest to the junction.
 
     Its gap is what is left of its way there, 0 within the junction. Only vehicles on the last lane before the junction
-    are looked at, and none that a red light stops.
+    are looked at, and none that a red light stops. Nothing that is asked here draws SUMO's random numbers
+    (`getNextLinks` does).
     """
     lanes, vehicles = session.sumo.lane, session.vehicle
     lane, nearest = vehicles.getLaneID(name), NOBODY
-    ways = lanes.getLinks(lane) if lane else ()  # a vehicle that is parked has none
-    if not lane.startswith(":"):  # else there is one way on
-        taken = [link[4] for link in vehicles.getNextLinks(name)[:1]]
-        ways = [way for way in ways if way[4] in taken]
+    ways = _ways_on(session, name, lane) if lane else ()  # a vehicle that is parked has none
     if not ways or not ways[0][4]:  # its lane does not lead on, or nothing more is crossed
         return nearest
     crossed = lanes.getInternalFoes(ways[0][4])
@@ -208,8 +207,21 @@ def foe(session: Session, name: str) -> Neighbour:
         ):
             nearest = min(nearest, Neighbour(other, 0.0, vehicles.getSpeed(other)), key=itemgetter(1))
         for other in () if is_inside else lanes.getLastStepVehicleIDs(before):
-            link = vehicles.getNextLinks(other)[:1]
+            link = _ways_on(session, other, before)[:1]
             if link and link[0][4] in crossed and link[0][5] not in "ru":
                 gap = lanes.getLength(before) - vehicles.getLanePosition(other)
                 nearest = min(nearest, Neighbour(other, gap, vehicles.getSpeed(other)), key=itemgetter(1))
     return nearest
+
+
+def _ways_on(session: Session, name: str, lane: str) -> list[Any]:
+    """SUMO's links from a vehicle's lane to the edge that its route goes on with, the one that it will take first."""
+    of, links = session.vehicle, list(session.sumo.lane.getLinks(lane))
+    if lane.startswith(":"):  # there is one way on
+        return links
+    onward = of.getRoute(name)[of.getRouteIndex(name) + 1 :][:1]
+    links = [link for link in links if link[0].rpartition("_")[0] in onward]
+    if len(links) > 1:
+        best = {lanes[1] for here, *_, lanes in of.getBestLanes(name) if here == lane and len(lanes) > 1}
+        links.sort(key=lambda link: link[0] not in best)
+    return links

@@ -126,7 +126,7 @@ class SumoTraffic:
         stopping: ids of vehicles and flows that need not arrive at the end of an edge.
         duration: of the episode [s], after which no event begins.
         seed: of SUMO's random numbers; None for that of the scenario.
-        measures_energy: whether SUMO is asked what the ego consumes.
+        measures_energy, sees_foes: whether SUMO is asked what the ego consumes, and to whom it has to give way.
         overlaps_are_crashes: whether the ego crashes where its outline touches another one that SUMO lets pass.
         imagined: of each `Simulator.imagine` its time [s], and the seed of risk events from then on.
     """
@@ -144,6 +144,7 @@ class SumoTraffic:
     seed: int | None = None
     imagined: tuple[tuple[float, int], ...] = ()
     measures_energy: bool = False
+    sees_foes: bool = False
     overlaps_are_crashes: bool = False
     car_type: str = ""
     max_cars: int = 1

@@ -17,7 +17,7 @@ from sumo_env.compat.views import RoadView, Vehicle, View, only_read, road_view
 from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, keys_of, resolve
 from sumo_env.not_here import NEVER_CALLED, missing, page
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
-from sumo_env.spaces.actions import ActionType, Situation
+from sumo_env.spaces.actions import SIDES, ActionType, Situation, lane_after
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.traffic.scenario import Scenario
 
@@ -221,20 +221,13 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     def get_available_actions(self) -> list[int]:
         """Indices of IDLE, and of the actions that would change something now, in highway-env's order."""
-        x, y, ego, road = self.scene.x.item(0), self.scene.y.item(0), self.ego_state, self._car.road
-        beside = {
-            side
-            for side in (-1, 1)
-            if (other := road.beside(ego.lane, side)) and road.lane(other).is_reachable_from(x, y)
-        }
+        ego, now = self.ego_state, self._car.situation(self.target_speeds)
+        kept = lane_after("IDLE", now)
         possible = {
             "IDLE": True,
-            "LANE_LEFT": -1 in beside,
-            "LANE_RIGHT": 1 in beside,
+            **{name: lane_after(name, now) != kept for name in SIDES},
             "FASTER": ego.speed_index < ego.speed_count - 1,
             "SLOWER": ego.speed_index > 0,
         }
-        if (place := self.scene.place) is not None:
-            possible |= {"LANE_LEFT": place.left, "LANE_RIGHT": place.right}
         indices = {name: index for index, name in self.actions.items()}
         return [indices[name] for name, is_possible in possible.items() if is_possible and name in indices]

@@ -110,20 +110,13 @@ class RouteEgo:
         target = self._target_lane
         if target is None or target == self._index or target not in self._sides:
             return
-        if self._is_late(target):
-            self._target_lane = self._index
-        elif not self._session.changes_lane(self._name):
-            self._session.vehicle.changeLane(self._name, self._network.sumo_index(target), 0.0)
-
-    def _is_late(self, target: LaneIndex) -> bool:
-        """Whether lanes part before a change is half over: SUMO would have no lane to end it on, and break down."""
         of, takes = self._session.vehicle, self._session.lane_change_duration
+        fastest = self.speed + of.getAccel(self._name) * takes
         leads_on = self._reaches[self._sides.index(target)] == inf
-        if takes == 0.0 or leads_on == self._leads_on:
-            return False
-        half = takes / 2.0 + self._session.step_length
-        fastest = self.speed + of.getAccel(self._name) * half
-        return bool(self._length - of.getLanePosition(self._name) < fastest * half)
+        if leads_on != self._leads_on and self.vehicle.is_late(fastest):  # lanes part before it could end
+            self._target_lane = self._index
+        elif not self._session.changes_lane(self._name) and self.vehicle.may_begin_change(fastest):
+            of.changeLane(self._name, self._network.sumo_index(target), 0.0)
 
     def settle(self, dt: float) -> float:
         """After the step: what SUMO has made of the commands; returns the distance that was driven [m]."""

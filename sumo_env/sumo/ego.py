@@ -13,7 +13,6 @@ from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.session import Session
-from sumo_env.sumo.settings import LANE_CHANGE_DURATION
 from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.risk import CUT_IN_GAP
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
@@ -81,7 +80,10 @@ class Ego:
         return self._covered
 
     def _change_lane(self, lane: str) -> None:
-        """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""
+        """Begin a lane change where the ego is on another lane than it steers for, and no change is running.
+
+        While it stands, or its edge ends before the change would, it waits and goes on steering for that lane.
+        """
         start, end, place = self._network.indices[lane]
         if self.target_lane[0] == start and self.target_lane[1] != end:
             # where lanes parted, it was on another one than it steered for
@@ -96,21 +98,17 @@ class Ego:
         target = self.target_lane[2]
         if place == target or self._session.changes_lane(self._name):
             return
-        count = self._road.count(start, end)
+        count, fastest = self._road.count(start, end), max(self.speed, self.target_speed) * self._stretch
+        begins = self.vehicle.may_begin_change(fastest)
         if self._road.oncoming:  # the lane of oncoming traffic is SUMO's opposite lane
-            self._session.vehicle.changeLaneRelative(self._name, 1 if target == 0 else -1, 0.0)
+            if begins:
+                self._session.vehicle.changeLaneRelative(self._name, 1 if target == 0 else -1, 0.0)
         elif count == self._road.count(*self.target_lane[:2]):
             beside = self._network.lanes[start, end, target].id
-            if self._network.leading_on(self._way, beside) != self._way and self._is_late(lane):
-                self.target_lane = start, end, place
-            else:
+            if begins:
                 self._session.vehicle.changeLane(self._name, self._network.sumo_index(self.target_lane), 0.0)
-
-    def _is_late(self, lane: str) -> bool:
-        """Whether lanes part before a change is half over: SUMO would have no lane to end it on, and break down."""
-        left = self._network.sumo_lanes[lane].length - self._session.vehicle.getLanePosition(self._name)
-        half = LANE_CHANGE_DURATION / 2.0 + self._session.step_length
-        return bool(left < max(self.speed, self.target_speed) * half * self._stretch)
+            elif self._network.leading_on(self._way, beside) != self._way and self.vehicle.is_late(fastest):
+                self.target_lane = start, end, place
 
     def _come_back(self) -> None:
         """Leave the lane of oncoming traffic as soon as nobody on the own lane would have to brake hard for it."""

@@ -1,7 +1,7 @@
 """Where the dose acts while an episode runs: the risk events of a scenario as commands to SUMO's vehicles.
 
-A cut-in is a lane change that SUMO executes without asking its lane-change model. All other kinds command a vehicle in
-every sub-step in which they do not pause (`EventKind`). Afterwards the vehicle is SUMO's again.
+A cut-in is a lane change that SUMO executes without asking its lane-change model, as other kinds may command one. All
+other kinds command a vehicle in every sub-step in which they do not pause (`EventKind`). Afterwards it is SUMO's again.
 """
 
 from __future__ import annotations
@@ -11,14 +11,16 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
+from math import inf
 from typing import Any, NamedTuple
 
 from sumo_env.contacts.rectangles import CAR, LENGTH, State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import Scene, is_obstacle
-from sumo_env.sumo.session import ALL_CHECKS_OFF, HARD_BRAKING, Session
+from sumo_env.sumo.session import ALL_CHECKS_OFF, RIGHT_OF_WAY, Session
 from sumo_env.sumo.tilted import Tilted
 from sumo_env.sumo.vehicle import IN_SUMO, Vehicle
 from sumo_env.traffic.risk import (
@@ -32,7 +34,8 @@ from sumo_env.traffic.risk import (
 )
 from sumo_env.traffic.scenario import Scenario
 
-CUT_IN_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
+CHANGE_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
+PATIENCE = 10.0  # [s] that a vehicle waits for room to come back, before SUMO's lane-change model decides
 EARLY = 1e-9  # [s] rounding of sums of steps
 SQUARE = 50.0  # [m] side of the squares by which vehicles that are near are found
 
@@ -61,8 +64,13 @@ class Moment(NamedTuple):
         vehicle: on which it acts, with what may be commanded.
         sumo: libsumo's functions of vehicles.
         dt: length of the sub-step [s].
+        elapsed: since the event began [s], 0 in its first sub-step.
         look: where all vehicles are, by their ids: x, y [m], speed [m/s], heading [rad].
         near: likewise those within so many metres of the vehicle, itself and some further ones included.
+        has_room: whether a change to the lane on a side (-1 left, +1 right) may begin now and leaves CUT_IN_GAP.
+        change_lane: begins a change to the lane on a side, whoever is there, and holds the vehicle's lanes; with
+            seconds, it comes back after these, as soon as there is room. False where no change may begin: there is no
+            lane that leads on, the vehicle stands, its edge ends before, or a change is running.
     """
 
     event: RiskEvent
@@ -71,10 +79,13 @@ class Moment(NamedTuple):
     dt: float
     look: Callable[[], Mapping[str, State]]
     near: Callable[[float], Mapping[str, State]]
+    elapsed: float
+    has_room: Callable[[int], bool]
+    change_lane: Callable[..., bool]
 
 
 class Push(EventKind):
-    """Sudden braking, which keeps SUMO's car following, or a surge, which switches it off."""
+    """Sudden braking, or a surge, which switches SUMO's car following off."""
 
     def pauses(self, at: Moment) -> bool:
         """A surge pauses while somebody is near straight ahead; a brake never does."""
@@ -84,9 +95,13 @@ class Push(EventKind):
         return not free_way(states[at.event.vehicle], states.values(), at.event.way)
 
     def command(self, at: Moment) -> None:
-        """Change the speed."""
-        at.vehicle.hold_speed(HARD_BRAKING if at.event.kind == "brake" else ALL_CHECKS_OFF)
-        at.vehicle.drive(max(at.sumo.getSpeed(at.event.vehicle) + at.event.accel * at.dt, 0.0))
+        """Change the speed; who brakes does so as hard as the event, or as SUMO would have in the last step."""
+        name, accel, speed = at.vehicle.name, at.event.accel, at.sumo.getSpeed(at.vehicle.name)
+        if at.event.kind == "brake":
+            own = at.sumo.getAcceleration(name) + (at.sumo.getSpeedWithoutTraCI(name) - speed) / at.dt
+            accel = min(accel, own)
+        at.vehicle.hold_speed(RIGHT_OF_WAY if at.event.kind == "brake" else ALL_CHECKS_OFF)
+        at.vehicle.drive(max(speed + accel * at.dt, 0.0))
 
     def give_back(self, at: Moment) -> None:
         """The speed is SUMO's."""
@@ -102,8 +117,18 @@ class Running:
 
     event: RiskEvent
     kind: EventKind
-    end: float  # [s]
+    began: float  # [s]
     acts: bool = False
+
+
+class Change(NamedTuple):
+    """A commanded lane change of a vehicle, whose lanes are held until the `end` [s].
+
+    back: side of the lane to which it comes back then; 0 if it does not.
+    """
+
+    end: float
+    back: int = 0
 
 
 class Events:
@@ -118,7 +143,7 @@ class Events:
             self._tilted.plan((name for name, _ in scenario.lifetimes), scenario.events)
         self._session, self._network, self._road = session, network, road
         self._asks_for_markings = scenario.traffic is not None
-        self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
+        self._changes: dict[str, Change] = {}  # of vehicles whose lanes are commanded
         self._running: dict[str, Running] = {}  # what commands a vehicle, but for cut-ins
         self._states: dict[str, State] = {}  # of all vehicles in this sub-step, once somebody has looked
         self._squares: dict[tuple[float, float], list[str]] = {}  # of the plane, with the vehicles there
@@ -126,7 +151,7 @@ class Events:
 
     def act(self, time: float, dt: float) -> None:
         """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
-        if not (self._cut_ins or self._running or (self._coming and self._coming[-1].time <= time + EARLY)):
+        if not (self._changes or self._running or (self._coming and self._coming[-1].time <= time + EARLY)):
             return
         self._states = {}
         while self._coming and self._coming[-1].time <= time + EARLY:
@@ -136,12 +161,11 @@ class Events:
                     self._cut_in(event, time)
                 else:
                     self._start(event, time, dt)
-        for commanded in (self._cut_ins, self._running):
+        for commanded in (self._changes, self._running):
             for name in [name for name in commanded if not self._may_act(name)]:
                 del commanded[name]
-        for name in [name for name, end in self._cut_ins.items() if time >= end - EARLY]:
-            del self._cut_ins[name]
-            self._end_cut_in(name)
+        for name, change in [(name, one) for name, one in self._changes.items() if time >= one.end - EARLY]:
+            self._go_back(name, change, time)
         for name, running in list(self._running.items()):
             self._go_on(name, running, time, dt)
 
@@ -197,39 +221,72 @@ class Events:
     def acting(self) -> frozenset[str]:
         """Names of the vehicles that an event commands now."""
         acting = (name for name, running in self._running.items() if running.acts)
-        return frozenset(name for name in (*self._cut_ins, *acting) if self._may_act(name))
+        return frozenset(name for name in (*self._changes, *acting) if self._may_act(name))
 
-    # -- cut-ins -------------------------------------------------------------------------------------------
+    # -- lane changes --------------------------------------------------------------------------------------
 
     def _cut_in(self, event: RiskEvent, time: float) -> None:
         """Change to a neighbouring lane at once, where there is one with room."""
-        name, session = event.vehicle, self._session
-        lane = session.vehicle.getLaneID(name)
-        if lane not in self._network.indices or lane.startswith(":") or session.changes_lane(name):
-            return
-        road = self._network.road
-        oncoming = road.oncoming  # then the only lane beside is that of oncoming traffic
+        oncoming = self._network.road.oncoming  # then the only lane beside is that of oncoming traffic
         for side in (-1,) if oncoming else (event.direction, -event.direction):
-            beside = road.beside(self._network.indices[lane], side)
-            if beside is None or self._leads_off(name, beside) or not self._has_room(name, beside):
-                continue
-            if self._asks_for_markings and not self._is_open(name, lane, beside):
-                continue
-            self._road[name].hold_lanes()
-            if oncoming:
-                session.vehicle.changeLaneRelative(name, 1, 0.0)
-            else:
-                limits = {road.lane(index).speed_limit for index in (self._network.indices[lane], beside)}
-                if len(limits) > 1 and not self._asks_for_markings:  # a faster lane makes nobody faster
-                    session.vehicle.setMaxSpeed(name, session.vehicle.getAllowedSpeed(name))
-                session.vehicle.changeLane(name, self._network.sumo_index(beside), 0.0)
-            self._cut_ins[name] = time + (SWERVE_TIME if oncoming else CUT_IN_TIME)
-            return
+            if self._has_room(event.vehicle, side):
+                self._change_lane(event.vehicle, time, side, SWERVE_TIME if oncoming else inf)
+                return
 
-    def _is_open(self, name: str, lane: str, beside: LaneIndex) -> bool:
-        """Whether markings and classes let a vehicle change to the lane beside, without which SUMO does not."""
-        there = self._network.lanes[beside].id
-        return self._session.may_change(lane, there, self._session.vehicle.getVehicleClass(name))
+    def _change_lane(self, name: str, time: float, side: int, seconds: float = inf) -> bool:
+        """See `Moment.change_lane`."""
+        beside = self._beside(name, side)
+        if beside is None or name in self._changes:
+            return False
+        self._steer(name, side, beside)
+        comes_back = seconds < inf
+        self._changes[name] = Change(
+            time + (max(seconds, CHANGE_TIME) if comes_back else CHANGE_TIME), -side if comes_back else 0
+        )
+        return True
+
+    def _steer(self, name: str, side: int, beside: LaneIndex) -> None:
+        """Command a lane change."""
+        session, road = self._session, self._network.road
+        self._road[name].hold_lanes()
+        if road.oncoming:
+            session.vehicle.changeLaneRelative(name, -side, 0.0)
+            return
+        lane = self._network.indices[session.vehicle.getLaneID(name)]
+        limits = {road.lane(index).speed_limit for index in (lane, beside)}
+        if len(limits) > 1 and not self._asks_for_markings:  # a faster lane makes nobody faster
+            session.vehicle.setMaxSpeed(name, session.vehicle.getAllowedSpeed(name))
+        session.vehicle.changeLane(name, self._network.sumo_index(beside), 0.0)
+
+    def _go_back(self, name: str, change: Change, time: float) -> None:
+        """Come back from a lane, as soon as there is room there, or give the lanes back to SUMO."""
+        if change.back and time < change.end + PATIENCE:
+            beside = self._beside(name, change.back)
+            if beside is not None and (self._network.road.oncoming or self._has_room(name, change.back)):
+                self._steer(name, change.back, beside)
+                self._changes[name] = Change(time + CHANGE_TIME)
+            return
+        del self._changes[name]
+        self._road[name].free_lanes()
+
+    def _beside(self, name: str, side: int) -> LaneIndex | None:
+        """The lane beside a vehicle to which a change may begin now, None if there is none."""
+        session, of = self._session, self._session.vehicle
+        lane = of.getLaneID(name)
+        if lane not in self._network.indices or lane.startswith(":") or session.changes_lane(name):
+            return None
+        start, end, place = self._network.indices[lane]
+        if self._network.road.oncoming and lane.rpartition("_")[0] not in of.getRoute(name):
+            start, end = end, start  # it drives on the lane of oncoming traffic
+        beside = self._network.road.beside((start, end, place), side)
+        if beside is None or self._leads_off(name, beside):
+            return None
+        fastest = of.getSpeed(name) + of.getAccel(name) * session.lane_change_duration
+        if not self._road[name].may_begin_change(fastest):
+            return None
+        # markings and classes, without which SUMO does not let a vehicle change there
+        there, kind = self._network.lanes[beside].id, of.getVehicleClass(name)
+        return beside if not self._asks_for_markings or session.may_change(lane, there, kind) else None
 
     def _leads_off(self, name: str, beside: LaneIndex) -> bool:
         """Whether the lane beside leads along another route than the vehicle's.
@@ -243,9 +300,12 @@ class Events:
         way = session.vehicle.getRouteID(name)
         return way in self._network.routes and way != self._network.leading_on(way, there)
 
-    def _has_room(self, name: str, lane: LaneIndex) -> bool:
+    def _has_room(self, name: str, side: int) -> bool:
+        """See `Moment.has_room`."""
+        if (beside := self._beside(name, side)) is None:
+            return False
         x, y, speed, _ = self._look()[name]
-        geometry = self._network.road.lane(lane)
+        geometry = self._network.road.lane(beside)
         s, _ = geometry.local_coordinates(x, y)
         there = *geometry.position(s, 0.0), speed, geometry.heading_at(s)
         states = self._near(*there[:2], LOOKED_AT + self._longest)
@@ -257,20 +317,17 @@ class Events:
         ]
         return has_room(there, list(states.values()), halves)
 
-    def _end_cut_in(self, name: str) -> None:
-        if self._network.road.oncoming:
-            self._session.vehicle.changeLaneRelative(name, -1, 0.0)
-        self._road[name].free_lanes()
-
     # -- all other kinds -----------------------------------------------------------------------------------
 
-    def _at(self, event: RiskEvent, dt: float) -> Moment:
-        vehicle = self._road[event.vehicle]
+    def _at(self, running: Running, time: float, dt: float) -> Moment:
+        event, name = running.event, running.event.vehicle
 
         def near(reach: float) -> Mapping[str, State]:
-            return self._near(*self._look()[vehicle.name][:2], reach)
+            return self._near(*self._look()[name][:2], reach)
 
-        return Moment(event, vehicle, self._session.vehicle, dt, self._look, near)
+        of, elapsed = self._session.vehicle, time - running.began
+        lanes = partial(self._has_room, name), partial(self._change_lane, name, time)
+        return Moment(event, self._road[name], of, dt, self._look, near, elapsed, *lanes)
 
     def _start(self, event: RiskEvent, time: float, dt: float) -> None:
         """An event begins; one of another kind on this vehicle ends."""
@@ -278,14 +335,14 @@ class Events:
         before = self._running.get(event.vehicle)
         acts = before is not None and before.acts
         if before is not None and acts and before.kind != kind:
-            before.kind.give_back(self._at(before.event, dt))
+            before.kind.give_back(self._at(before, time, dt))
             acts = False
-        self._running[event.vehicle] = Running(event, kind, time + event.duration, acts)
+        self._running[event.vehicle] = Running(event, kind, time, acts)
 
     def _go_on(self, name: str, running: Running, time: float, dt: float) -> None:
         """Command a vehicle for one sub-step, or give it back to SUMO."""
-        at, acted = self._at(running.event, dt), running.acts
-        ended = time >= running.end - EARLY
+        at, acted = self._at(running, time, dt), running.acts
+        ended = at.elapsed >= running.event.duration - EARLY
         running.acts = not ended and not running.kind.pauses(at)
         if ended:
             del self._running[name]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from typing import Any
@@ -42,14 +42,16 @@ class Car:
         self.around.list_vehicles()
         self._least_ttc, self.distance = inf, 0.0
 
-    def update(self, time: float, dt: float, reported: Sequence[tuple[str, str]]) -> CrashRecord | None:
+    def update(
+        self, time: float, dt: float, reported: Sequence[tuple[str, str]], commanded: Mapping[str, float]
+    ) -> CrashRecord | None:
         """Look around after the sub-step of `dt` [s] that ended at `time` [s]; its first crash if it was in this one.
 
-        reported: pairs of vehicles that SUMO reports in collision.
+        reported: pairs of vehicles that SUMO reports in collision; commanded: see `Surroundings.update`.
         """
         around, detector, name, ego = self.around, self._detector, self.name, self.ego
         seen, before = around.ego, around.near
-        around.update(time, ego.speed)
+        around.update(time, ego.speed, commanded)
         partners: Collection[str] = ()  # whom SUMO reports in collision with this car
         if reported:
             partners = {one if other == name else other for one, other in reported if name in (one, other)}

@@ -23,7 +23,7 @@ from sumo_env.sumo.user_files import plain_path, temporary_folder
 ALL_CHECKS_OFF = 32  # drive at the commanded speed, whatever is ahead
 NO_RULES = 55  # car following and red lights; foes at junctions are ignored
 REGULAR = 31  # car following and right of way; how SUMO's vehicles begin
-HARD_BRAKING = REGULAR & ~4  # as REGULAR, but a commanded speed may need more than the vehicle type's `decel`
+RIGHT_OF_WAY = REGULAR & ~7  # right of way and red lights; a commanded speed counts, whatever is ahead
 NO_RIGHT_OF_WAY = 23  # car following; foes that approach a junction are ignored, those inside it are not
 # Lane-change modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#lane_change_mode_0xb6)
 COMMANDED_LANE_CHANGES = 0  # commanded changes only, without regard to others

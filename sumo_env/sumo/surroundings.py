@@ -6,7 +6,7 @@ the same states and takes longer than the rest of a sub-step on small roads (doc
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from itertools import chain, product
 from math import inf
 from operator import itemgetter
@@ -51,10 +51,11 @@ class Surroundings:
     def _list_others(self) -> None:
         self._others = [name for name in self._session.vehicles() if name != self._name]
 
-    def update(self, time: float, speed: float) -> None:
+    def update(self, time: float, speed: float, commanded: Mapping[str, float] = {}) -> None:
         """Look around after the sub-step that ended at `time` [s] with the ego's `speed` [m/s].
 
-        A distant vehicle is skipped until it may have come near (conservative advancement).
+        A distant vehicle is skipped until it may have come near (conservative advancement). commanded: speeds [m/s] of
+        vehicles whose speed in SUMO only covers the way of a sub-step.
         """
         if self._session.changed:
             self._list_others()
@@ -68,8 +69,10 @@ class Surroundings:
         if self._meeting is not None:
             lane, self._lanes_before = self._session.vehicle.getLaneID, self._lanes
             self._lanes = {name: lane(name) for name in (self._name, *self.near)}
-        # SUMO's speed is the commanded one, which covers the way of a sub-step
         self.ego = x, y, speed, heading
+        for name in commanded.keys() & self.near.keys() if commanded else ():
+            its_x, its_y, _, its_heading = self.near[name]
+            self.near[name] = its_x, its_y, commanded[name], its_heading
         due |= {name: time + further / FASTEST for name, further in distant if further < NOWHERE}
 
     def time_to_collision(self, horizon: float) -> float:

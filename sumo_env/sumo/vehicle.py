@@ -22,6 +22,8 @@ from sumo_env.traffic.scenario import VehicleSpec
 IN_SUMO = {"accel": ("Accel",), "emergency_decel": ("EmergencyDecel",), "decel": ("ApparentDecel", "Decel")}
 IN_SUMO |= {"tau": ("Tau",), "min_gap": ("MinGap",)}
 OF_SUMO = REGULAR, OWN_LANE_CHANGES  # modes in which SUMO's vehicles begin
+MOVING = 1.0  # [m/s] below it no commanded lane change begins: SUMO would slide the vehicle sideways
+LEAST_SIDEWAYS = 0.01  # [m/s]
 
 
 def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
@@ -129,6 +131,28 @@ class Vehicle:
         """Whether a lane may be commanded: once lanes are taken from SUMO, it ends the change that it has begun."""
         self._is_changing = self._is_changing and self._session.changes_lane(self.name)
         return self.has_lanes and not self._is_changing
+
+    def is_late(self, fastest: float) -> bool:
+        """Whether its lane ends before a lane change that begins now would, at up to `fastest` [m/s].
+
+        SUMO would then drop the change, so that it jumps sideways, or break down.
+        """
+        of, lanes, takes = self._session.vehicle, self._session.sumo.lane, self._session.lane_change_duration
+        if takes == 0.0:
+            return False
+        lane, position = of.getLaneID(self.name), of.getLanePosition(self.name)
+        standing, factor = (
+            float(of.getParameter(self.name, f"laneChangeModel.lcMaxSpeedLat{key}"))
+            for key in ("Standing", "Factor")
+        )
+        takes = max(takes, lanes.getWidth(lane) / max(standing + factor * fastest, LEAST_SIDEWAYS))
+        is_oncoming = lane.rpartition("_")[0] != of.getRoute(self.name)[of.getRouteIndex(self.name)]
+        left = position if is_oncoming else lanes.getLength(lane) - position
+        return bool(left < fastest * (takes + self._session.step_length))
+
+    def may_begin_change(self, fastest: float) -> bool:
+        """Whether a lane change may begin now: it does not stand, and its lane goes on until the change is over."""
+        return self._session.vehicle.getSpeed(self.name) >= MOVING and not self.is_late(fastest)
 
     def crash(self, speed: float) -> None:
         """From now on it coasts to a stop from its `speed` [m/s], and stays where it is, as in highway-env."""

@@ -229,11 +229,13 @@ class SumoSimulator:
             for car in driving:
                 car.ego.drive(car.around.ego, self._dt)
             reported = self._advance()
-            for car in driving:
-                if car.name in self._cars and car.ego.ended not in GONE:
-                    car.distance += car.ego.settle(self._dt)
-                    if (crash := car.update(self._time, self._dt, reported)) is not None:
-                        self._hit(car, crash)
+            there = [car for car in driving if car.name in self._cars and car.ego.ended not in GONE]
+            for car in there:
+                car.distance += car.ego.settle(self._dt)
+            self._commanded |= {car.name: car.ego.speed for car in there if len(there) > 1}
+            for car in there:
+                if (crash := car.update(self._time, self._dt, reported, self._commanded)) is not None:
+                    self._hit(car, crash)
             self._note(reported)
             if trace:
                 scenes.append(self._read())
@@ -271,10 +273,12 @@ class SumoSimulator:
 
     def _step_sumo(self) -> Sequence[tuple[str, str]]:
         """One step in which the crashed vehicles coast; returns the pairs that SUMO reports in collision."""
+        self._commanded: dict[str, float] = {}  # speeds by which vehicles that are not SUMO's drive [m/s]
         for name, vehicle in self._road.items():
             if not vehicle.crashed or name in self._cars:
                 continue
             vehicle.coasting, distance = coast(vehicle.coasting, self._dt)
+            self._commanded[name] = vehicle.coasting
             if lane := self._session.vehicle.getLaneID(name):  # else SUMO is teleporting it
                 vehicle.drive(distance / self._session.step_length * self._network.stretch(lane))
         self._time += self._dt

@@ -102,6 +102,9 @@ def test_a_turn_is_missed_where_the_ego_can_no_longer_turn(tmp_path: Path) -> No
         assert not env.scene.place.ended
     for _ in range(30):
         env.step(LEFT)
+    assert number(env) == 1  # who stands changes no lane, but goes on wanting to
+    for _ in range(10):
+        env.step(FASTER)
     assert number(env) == 2 and np.isinf(env.scene.place.free)
 
 

@@ -16,7 +16,7 @@ from sumo_env.contacts.rectangles import State
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.events import Moment
-from sumo_env.sumo.session import REGULAR, Session
+from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks.highway import Highway
 from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent, free_way
@@ -299,3 +299,52 @@ def test_surging_vehicles_look_at_those_near_them_who_are_read_once_in_a_sub_ste
         simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
         found.append((np.mean(looked), len(reads)))
     assert found[1][0] < 1.5 * found[0][0] < 60.0 and found[1][1] == found[0][1]
+
+
+@dataclass(frozen=True)
+class Swerve(EventKind):
+    """To a side for two seconds."""
+
+    side: int = -1
+
+    def command(self, at: Moment) -> None:
+        if at.elapsed < 1.0 and at.has_room(self.side):
+            at.change_lane(self.side, seconds=2.0)
+
+    def give_back(self, at: Moment) -> None:
+        pass
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_who_swerves_comes_back_where_sumo_s_own_lane_changes_would_refuse(
+    simulator: SumoSimulator, side: int
+) -> None:
+    """Six of six, with a follower 8 m behind in the lane that they leave; the lanes are SUMO's again at the end."""
+    scenario = draw("highway", initial_lane_id=0, duration=12)
+    x, (first, *_) = scenario.ego.x + 200.0, scenario.vehicles
+    calm: dict[str, Any] = {"lane": ("0", "1", 1), "y": 4.0, "speed": 20.0, "target_speed": 20.0}
+    places = [x + 100.0 * (k // 2) - 13.0 * (k % 2) for k in range(12)]
+    cars = [first._replace(id=f"v{k}", s=place, x=place, **calm) for k, place in enumerate(places)]
+    events = tuple(RiskEvent(0.0, f"v{k}", Swerve(side=side), duration=1.0) for k in range(0, 12, 2))
+    simulator.reset(replace(scenario, vehicles=tuple(cars), events=events))
+    found = []
+    for _ in range(4):
+        scene = simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}).scene
+        rows = [scene.ids.index(event.vehicle) for event in events]
+        found.append((scene.y[rows], scene.in_event))
+    assert found[1][0] == pytest.approx(4.0 + 4.0 * side, abs=0.1)  # all six are out
+    assert found[-1][0] == pytest.approx(4.0, abs=0.1) and not found[-1][1]
+    assert {libsumo.vehicle.getLaneChangeMode(event.vehicle) for event in events} == {OWN_LANE_CHANGES}
+
+
+def test_nobody_swerves_to_where_there_is_no_lane_or_no_room(simulator: SumoSimulator) -> None:
+    scenario = draw("highway", initial_lane_id=0, duration=12, lanes_count=2)
+    x, (first, second, *_) = scenario.ego.x + 200.0, scenario.vehicles
+    calm: dict[str, Any] = {"s": x, "x": x, "speed": 20.0, "target_speed": 20.0, "changes_lanes": False}
+    pair = [spec._replace(lane=("0", "1", k), y=4.0 * k, **calm) for k, spec in enumerate((first, second))]
+    for side in (-1, 1):
+        events = tuple(RiskEvent(0.0, spec.id, Swerve(side=side), duration=2.0) for spec in pair)
+        simulator.reset(replace(scenario, vehicles=tuple(pair), events=events))
+        for _ in range(3):
+            scene = simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}).scene
+            assert scene.y[1:] == pytest.approx([0.0, 4.0], abs=0.01)

@@ -31,12 +31,6 @@ $(STAMP): pyproject.toml requirements.lock
 sweep: setup
 	$(BIN)/python experiments/sweep.py $(ARGS)
 
-# The study's analysis, report and pages again, from the stored test episodes. results/study/README.md has the command
-# that trains its agents again, results/FROZEN.md the commits of earlier studies.
-results: setup
-	$(BIN)/python experiments/report.py results/study
-	$(BIN)/python docs/pages.py
-
 # What a change has to pass.
 check: lint test docs
 

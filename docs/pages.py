@@ -28,7 +28,7 @@ from experiments import evaluate
 from experiments.analysis.gates import CROSSINGS
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL
-from experiments.reporting.tables import TABLES, chosen, effect, interval, kind_of, plain, points
+from experiments.reporting.tables import chosen, effect, interval, kind_of, plain, points
 from experiments.study.design.sheet import GRID
 
 TEMPLATES = ROOT / "docs" / "templates"
@@ -93,11 +93,6 @@ def study() -> Any:
     )
 
 
-def table(name: str, **wanted: str) -> str:
-    """One of the report's tables, `reporting.tables.TABLES`: the lines that have these values."""
-    return _markdown(chosen(TABLES[name](study(), "sumo"), **wanted).drop(columns=list(wanted)))
-
-
 def row(frame: str, **wanted: Any) -> dict[str, Any]:
     """The row of a frame of that analysis that has these values."""
     (found,) = chosen(getattr(study(), frame), backend="sumo", **wanted).to_dict("records")
@@ -159,7 +154,6 @@ FUNCTIONS: list[Callable[..., Any]] = [
         row,
         share,
         study,
-        table,
         trainings,
         validation,
     )

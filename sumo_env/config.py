@@ -146,7 +146,6 @@ WITHOUT_EFFECT = {
     "manual_control",  # of a window (`screen`)
 }
 FIXED: dict[str, tuple[Any, str]] = {
-    "traffic_model": ("sumo", "SUMO's own drivers are the only ones"),  # stored configurations have it
     "controlled_vehicles": (
         1,
         "gymnasium.make with this key, or sumo_env.parallel_env, makes environments of several learning cars "

@@ -46,7 +46,7 @@ CELLS: list[tuple[dict[str, Any], str]] = [
     ({"learner": "sb3-pp"}, "did you mean 'sb3-ppo'"),
     ({"learner": "sb3-ppo", "settings": ("gama=0.9",)}, "'gama' of the learner sb3-ppo"),
     ({"learner": "sb3-ppo", "network": "dueling"}, "'network' of the learner sb3-ppo"),
-    ({"settings": ("finite_horizn=true",)}, "'finite_horizn' of the learner dqn"),
+    ({"settings": ("gama=0.9",)}, "'gama' of the learner dqn"),
     ({"learners": {"highway": {"wam_up": 5}}}, "did you mean 'warm_up'"),
     ({"settings": ("gamma",)}, "--settings takes KEY=VALUE"),
 ]

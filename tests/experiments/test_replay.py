@@ -6,12 +6,15 @@ import shutil
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
 
 import agents
+from agents import pretrained
 from experiments.replay import Options, parse_case, replay
+from experiments.study.compute.policies import driver
 from experiments.study.design.cell import tested_on as environment_of
 from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
 from experiments.study.results import store
@@ -20,8 +23,6 @@ from experiments.study.results.store import find_cell
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env, make_other_env
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -63,12 +64,21 @@ def test_the_policy_itself_drives_and_its_actions_are_compared(cells, tmp_path, 
     ]
 
 
-@pytest.mark.slow
-def test_a_published_agent_drives_its_stored_episode_again(tmp_path, capsys):
-    """From results/agents.npz, in half precision."""
-    case = f"{ROOT}/results/study/cells/{agents.card('u-turn-3', 'treatment')['cell']}"
-    row = episodes(Path(case)).query("traffic == 'risky'").iloc[0]
-    assert replay(Options(f"{case}:risky:{row['scenario']}", out=tmp_path / "film.gif", policy=True)) == 0
+def test_a_published_agent_drives_its_stored_episode_again(cells, tmp_path, capsys):
+    """From the file of agents in the folder, in half precision."""
+    home = Path(shutil.copytree(cells[0].parents[1], tmp_path / "results"))
+    agent = store.Store(home)
+    name, record = next(iter(agent.agents().items()))
+    env: Any = make_env(*environment_of(record["key"]))
+    policy: Any
+    seen, policy = driver(record["key"], None, env, agent.weights(name))
+    shape, actions = seen.observation_space.shape, int(env.action_space.n)
+    about = {**agents.card("u-turn-3", "control"), "task": "highway", "cell": name, "time_observed": 0}
+    about |= {"network": record["key"]["profile"]["network"], "observations": [*shape], "actions": actions}
+    pretrained.save({"highway-50/control": (about, policy)}, home / "agents.npz")
+    agent.weights(name).unlink()
+    case = f"{home / 'cells' / name}:risky:{episodes(home / 'cells' / name)['scenario'][0]}"
+    assert replay(Options(case, out=tmp_path / "film.gif", policy=True), make_env) == 0
     assert "the agent chose the stored actions" in capsys.readouterr().out
 
 

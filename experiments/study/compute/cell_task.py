@@ -103,7 +103,7 @@ class CellTask:
         cell = self.cell
 
         seen, policy = driver(cell.key(), cell.source, env, self._weights())
-        first = cell.eval.get("first_scenario", 0)
+        first = cell.eval["first_scenario"]
 
         def table(there: gym.Env[Any, Any], purpose: str, traffics: Iterable[str], n: int) -> pd.DataFrame:
             asked = drives(cell.task, cell.level, range(first, first + n), traffics, purpose)

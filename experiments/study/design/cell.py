@@ -24,7 +24,7 @@ from experiments.support.files import canonical_json, sha256_bytes
 if TYPE_CHECKING:
     from agents.learner import Learner
 
-RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
+RESULT_SCHEMA = 5  # raise it with every change that makes stored results mean, or be, something else
 LEARNER = "dqn"  # of the published studies
 
 

@@ -110,8 +110,6 @@ class Experiment:
         """What the cells of a task and level have in common, as a baseline without a policy."""
         if self.episodes < 1:
             raise UserError(f"at least one test episode is needed, not {self.episodes}")
-        # Not in the names of cells that begin at 0, which are older than the choice.
-        first = {"first_scenario": self.first_scenario} if self.first_scenario else {}
         return Cell(
             kind="baseline",
             backend=self.backend,
@@ -123,7 +121,11 @@ class Experiment:
             policy="",
             profile={"preset": self.preset},
             env_config=env_config(self.backend, task, level, self._changes),
-            eval={"episodes": self.episodes, "gate_episodes": self.gate_episodes, **first},
+            eval={
+                "episodes": self.episodes,
+                "gate_episodes": self.gate_episodes,
+                "first_scenario": self.first_scenario,
+            },
             dynamics=dynamics(self.backend, task),
         )
 

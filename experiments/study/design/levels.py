@@ -12,7 +12,6 @@ from sumo_env.tasks import TASKS
 
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
-IN_NAMES = {"traffic_model": "sumo"}  # a key of earlier versions, which the names of all cells contain
 BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
 # Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
 PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
@@ -43,7 +42,7 @@ def env_config(
         raise UserError(
             f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
         )
-    config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], IN_NAMES, common)
+    config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
     config = {name: value for name, value in config.items() if name not in FREE}
     return {**config, **({} if backend == "sumo" else HIGHWAY_ENV), **own}
 

@@ -27,10 +27,10 @@ class TrainingRules:
         return cls(**{name: profile[name] for name in RULES if name in profile})
 
     def entries(self) -> dict[str, Any]:
-        """What a cell's profile has of them where they are set, and an entry that the names of all agents contain."""
+        """What a cell's profile has of them: those that are set."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         defaults = {field.name: field.default for field in fields(self)}
-        return {"finite_horizon": False, **{k: v for k, v in values.items() if v != defaults[k]}}
+        return {name: value for name, value in values.items() if value != defaults[name]}
 
     @property
     def duration(self) -> dict[str, int]:

@@ -75,7 +75,13 @@ SCHEMA = schema_of({"cell": "str", "purpose": "str", **COLUMNS}, OF_CRASH)
 def check_record(name: str, record: Any) -> None:
     """That this is the record of the cell of this name, which has the hash of its key. Raises Wrong, or KeyError."""
     key = {"kind": ("agent", "baseline", "test"), "task": tuple(TASKS)}  # TASKS: a user may add to them
-    check(record, {"schema": (RESULT_SCHEMA,), "key": key, "versions": dict, "files": {EPISODES: str}})
+    check(record, {"schema": int})
+    if (schema := record["schema"]) != RESULT_SCHEMA:
+        raise Wrong(
+            f"version {schema} of such files has written it, and this is {RESULT_SCHEMA}; results/FROZEN.md names the "
+            "commits that read published ones"
+        )
+    check(record, {"key": key, "versions": dict, "files": {EPISODES: str}})
     if not is_name(name):
         raise Wrong("the name of a cell leads elsewhere")
     if (own := cell_name(record["key"], record["versions"])) != name:
@@ -122,7 +128,7 @@ def check_rows(key: Mapping[str, Any], file: str, rows: pd.DataFrame) -> None:
         asked = {"traffics": TRAFFICS, "episodes": key["eval"]["episodes"], **(key.get("test_on") or {})}
     else:
         asked = {"traffics": gate_traffics(key["arm"]), "episodes": key["eval"]["gate_episodes"]}
-    first = key["eval"].get("first_scenario", 0)
+    first = key["eval"]["first_scenario"]
     numbers = range(first, first + asked["episodes"])  # of a record, which may ask for any number
     wanted = ((traffic, number) for traffic in asked["traffics"] for number in numbers)
     there = Counter(zip(rows["traffic"].tolist(), rows["scenario"].tolist(), strict=True))

@@ -92,8 +92,8 @@ def test_a_policy_of_one_s_own_is_named_by_what_it_is(tmp_path: Path) -> None:
 def test_another_study_has_other_seeds_and_scenarios():
     first, second = cells(), cells(first_seed=100, first_scenario=1000)
     assert {c.seed for c in second if c.arm} == {100, 101}
-    starts = [{c.eval.get("first_scenario") for c in part} for part in (first, second)]
-    assert starts == [{None}, {1000}]
+    starts = [{c.eval["first_scenario"] for c in part} for part in (first, second)]
+    assert starts == [{0}, {1000}]
     assert not {c.name for c in first} & {c.name for c in second}
 
 

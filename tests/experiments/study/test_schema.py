@@ -54,7 +54,7 @@ RECORDS: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda r: r["key"].update(policy="../evil"), "leads elsewhere"),
     (lambda r: r["key"].pop("eval"), "eval"),
     (lambda r: r.update(key=[]), "key"),
-    (lambda r: r.update(schema=99), "schema"),
+    (lambda r: r.update(schema=99), "version 99"),
     (lambda r: r["files"].pop("gates.parquet"), "without a record"),
 ]
 ROWS: list[tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = [

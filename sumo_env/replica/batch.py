@@ -196,12 +196,18 @@ def expecting(batch: Batch, row: int, car: tables.Records) -> Batch:
     return batch
 
 
-def copied(batch: Batch) -> Batch:
-    """A batch whose episodes go on by themselves; it shares what never changes."""
-    cars, arrivals = (
-        np.array(table.view(tables.BYTES)).view(tables.CAR) for table in (batch.cars, batch.arrivals)
-    )
-    return batch._replace(cars=cars, arrivals=arrivals, episodes=batch.episodes.copy())
+def copied(batch: Batch, rows: Any) -> Batch:
+    """These episodes, which go on by themselves; one that is named several times becomes several.
+
+    rows: their numbers, a sequence or an array.
+    """
+
+    def copy(table: Any) -> Any:
+        same = np.dtype((np.void, table.itemsize))  # see `tables.BYTES`
+        return table.view(same)[rows].view(table.dtype)
+
+    *records, observations = batch
+    return Batch._make([*map(copy, records), observations[rows]])
 
 
 def remaining(batch: Batch, row: int, lanes: tables.Records) -> list[tuple[float, float]]:

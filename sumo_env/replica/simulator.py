@@ -203,7 +203,7 @@ class Replica:
         """A copy for planners: it has cars of its own, and shares what never changes."""
         twin = copy.copy(self)
         if self._is_begun:
-            twin._batch, twin._crashes = copied(self._batch), self._crashes.copy()
+            twin._batch, twin._crashes = copied(self._batch, [0]), self._crashes.copy()
             twin._look()
         return twin
 

@@ -5,9 +5,11 @@ envs = gym.make_vec("sumo_env:replica/u-turn-v0", num_envs=64, scenarios="seeded
 
 from __future__ import annotations
 
+import copy
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, NoReturn
 
@@ -89,7 +91,7 @@ class ReplicaVectorEnv(VectorEnv):
         self.single_action_space = single.action_space
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)
-        self._generators: list[Any] = [None] * num_envs  # of numpy; None before a reset
+        self._states: list[Any] = [None] * num_envs  # of numpy's generators; None before a reset
         # episodes drawn ahead, with the state of the generator before
         self._ahead: dict[int, tuple[Start, Any]] = {}
         self._over = np.zeros(num_envs, np.bool_)
@@ -160,6 +162,35 @@ class ReplicaVectorEnv(VectorEnv):
         infos |= self._infos(self._told(actions, driven == AFRESH), np.ones(self.num_envs, np.bool_))
         return self._batch.observations.copy(), rewards, terminated, truncated, infos
 
+    def copies(self, rows: Sequence[int] | NDArray[np.int64]) -> ReplicaVectorEnv:
+        """A batch of copies of these environments, which go on by themselves, with one thread.
+
+        An environment that is named several times has several copies. Copies and the batch that they are of share the
+        configuration: neither takes another one at a reset.
+
+        Raises:
+            gym.error.ResetNeeded: there is no episode yet.
+        """
+        if self._params is None:
+            raise gym.error.ResetNeeded("call reset() before copies()")
+        rows = np.asarray(rows).tolist()
+        twin = copy.copy(self)
+        twin.num_envs, twin._threads, twin._pool = len(rows), 1, None
+        twin.observation_space, twin.action_space = (
+            batch_space(space, len(rows))
+            for space in (self.single_observation_space, self.single_action_space)
+        )
+        twin._states = [self._states[row] for row in rows]
+        twin._ahead = {k: self._ahead[row] for k, row in enumerate(rows) if row in self._ahead}
+        twin._over, twin._controls = self._over[rows], self._controls[rows]
+        twin._batch = kernels.copied(self._batch, rows)
+        return twin
+
+    @property
+    def egos(self) -> tables.Records:
+        """The egos' records, of `tables.CAR`, shape (num_envs,)."""
+        return tables.chosen(self._batch.cars, (slice(None), 0))
+
     def __getattr__(self, name: str) -> NoReturn:
         raise missing("a compiled batch", name, dir(type(self)))
 
@@ -176,13 +207,11 @@ class ReplicaVectorEnv(VectorEnv):
 
     def _reset_single(self, row: int, seed: int | None, options: dict[str, Any]) -> Start:
         """The episode that an environment begins at a reset, as a single one does."""
-        single, generator, config = self._single, self._generators[row], self._single.config
-        _, before = self._ahead.pop(row, (None, None))
-        if generator is not None and before is not None:
-            generator.bit_generator.state = before
-        single.np_random = generator
-        single.reset(seed=seed, options=options)
-        self._generators[row] = single.np_random
+        single, config = self._single, self._single.config
+        _, self._states[row] = self._ahead.pop(row, (None, self._states[row]))
+        single._np_random = None  # whoever never had a seed gets one
+        with self._generator(row):
+            single.reset(seed=seed, options=options)
         spaces = single.observation_space, single.action_space
         if spaces != (self.single_observation_space, self.single_action_space) or not is_compiled(single):
             single.configure(config)
@@ -208,12 +237,20 @@ class ReplicaVectorEnv(VectorEnv):
             if parts and parts[-1].done():  # the others are about to be
                 break
             if row not in self._ahead:
-                before = self._generators[row].bit_generator.state
+                before = self._states[row]
                 self._ahead[row] = self._draw(row), before
 
     def _draw(self, row: int) -> Start:
-        self._single.np_random = self._generators[row]
-        return self._single.begin()
+        with self._generator(row):
+            return self._single.begin()
+
+    @contextmanager
+    def _generator(self, row: int) -> Iterator[None]:
+        """Let the generator of `_single`, which draws for all, be that of this environment."""
+        if self._states[row] is not None:
+            self._single.np_random.bit_generator.state = self._states[row]
+        yield
+        self._states[row] = self._single.np_random.bit_generator.state
 
     def _made_params(self) -> EnvParams:
         single, replica, names = self._single, self._single.replica, self._single.actions.values()
@@ -274,7 +311,9 @@ class ReplicaVectorEnv(VectorEnv):
         centres = kernels.remaining(self._batch, row, self._params.lanes)
         config = self._single.config
         road = self._single.task.road(config)
-        spawn = draws.arrival(config, road, self._generators[row], centres, int(episode["steps"]))
+        with self._generator(row):
+            rng = self._single.np_random
+            spawn = draws.arrival(config, road, rng, centres, int(episode["steps"]))
         if spawn is not None:
             car = tables.cars_of(road, [spawn.vehicle])
             car["number"] = episode["first_arrival"] + episode["steps"]

@@ -193,3 +193,31 @@ def test_a_task_of_ones_own_is_paid_its_own_reward_or_refused() -> None:
         reward_weights(Slalom(), envs.envs[0].config)
     with pytest.raises(ConfigError, match=r"task 'slalom' are not known"):
         ReplicaEnv(Slalom()).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("task", "keywords"),
+    [
+        ("u-turn", {**SEEDED, "config": {"risk": 1.0}}),
+        ("intersection", {}),  # arrivals are drawn during an episode
+    ],
+)
+def test_copies_go_on_as_the_environments_that_they_are_of(task: str, keywords: dict[str, Any]) -> None:
+    """Over the ends of episodes, whatever others that were copied from the same ones do meanwhile."""
+    envs, rows, rng = pair(task, **keywords)[0], [2, 0, 2, 3], np.random.default_rng(0)
+    with pytest.raises(gym.error.ResetNeeded):
+        envs.copies(rows)
+    envs.reset(seed=5)
+    for _ in range(7):
+        envs.step(drawn(envs, rng))
+    others, copies = envs.copies([2, 0, 1, 2]), envs.copies(rows)
+    ended = 0
+    for _ in range(20):
+        others.step(drawn(others, rng))
+        actions = drawn(envs, rng)
+        (*theirs, infos), ours = envs.step(actions), copies.step(actions[rows])
+        infos = {name: values[rows] for name, values in infos.items()}
+        assert_equal(ours, (*(part[rows] for part in theirs), infos))
+        np.testing.assert_array_equal(copies.egos["x"], envs.egos["x"][rows])
+        ended += int((ours[2] | ours[3]).sum())
+    assert ended and copies.action_space.shape == (len(rows),)

@@ -1,11 +1,14 @@
-"""Tasks and their traffic levels, numbered from the lightest, and the configuration of the environment at each."""
+"""Tasks and their traffic levels, numbered from the lightest, and the configuration of the environment at each.
+
+A task here may be a variant of one (`sheet.VARIANTS`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from experiments.study.design.sheet import GRID, sheet
+from experiments.study.design.sheet import GRID, VARIANTS, sheet, task_of
 from experiments.support.errors import UserError, check_known, unknown
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
@@ -20,7 +23,12 @@ FREE = {"risk", "drivers", *PICTURES}
 
 def level_names(task: str) -> tuple[str, ...]:
     """Names of a task's traffic levels, lightest first ("50", "100", "150"); levels are numbered from 1."""
-    return tuple(TASKS[task].levels)
+    return tuple(TASKS[task_of(task)].levels)
+
+
+def tasks_known() -> tuple[str, ...]:
+    """All tasks in the order of TASKS, each before its variants."""
+    return tuple(sorted((*TASKS, *VARIANTS), key=lambda name: [*TASKS].index(task_of(name))))
 
 
 def env_config(
@@ -42,18 +50,27 @@ def env_config(
         raise UserError(
             f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
         )
+    if task in VARIANTS:
+        common = {**VARIANTS[task].changes, **common}
+    task = task_of(task)
     config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
     config = {name: value for name, value in config.items() if name not in FREE}
     return {**config, **({} if backend == "sumo" else HIGHWAY_ENV), **own}
 
 
-def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
-    """The wanted tasks, or those of the study, in the order of TASKS. Raises UserError for one without a sheet."""
-    wanted = wanted or tuple(GRID)
-    check_known("task", wanted, TASKS)
+def choose_tasks(wanted: Sequence[str], variants: bool = False) -> tuple[str, ...]:
+    """The wanted tasks, or those of the study, in the order of `tasks_known`.
+
+    variants: whether variants of tasks are known.
+
+    Raises:
+        UserError: a task that is not known, or without a sheet.
+    """
+    wanted, known = wanted or tuple(GRID), tasks_known() if variants else tuple(TASKS)
+    check_known("task", wanted, known)
     for task in wanted:
         sheet(task)
-    return tuple(task for task in TASKS if task in wanted)
+    return tuple(task for task in known if task in wanted)
 
 
 def choose_levels(tasks: Sequence[str], wanted: Sequence[int]) -> dict[str, tuple[int, ...]]:

@@ -1,14 +1,14 @@
 """What is studied about a task, on one sheet a task: all that the study knows of a task by its name.
 
 A task of your own is studied by a further entry (docs/own-parts.md). What is asked of a task without a sheet is an
-error that names the file. `GRID` is the paper's 18 settings.
+error that names the file. `GRID` is the paper's 18 settings. `VARIANTS` are tasks under another configuration.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from experiments.support.errors import UserError
 
@@ -152,8 +152,33 @@ GRID: dict[str, tuple[str, ...]] = {
 }
 
 
+class Variant(NamedTuple):
+    """A task under another configuration, studied as a task beside it: on its sheet, at its levels, in its scenarios.
+
+    changes: keys of the environments' configuration with their values.
+    """
+
+    task: str
+    changes: Mapping[str, Any]
+
+
+VARIANTS: dict[str, Variant] = {
+    # highway-env's slowest target speed is 20 m/s, the highest that others on the two-way road want: whoever waits
+    # behind them runs into them.
+    "two-way-brakes": Variant(
+        "two-way", {"action": {"type": "DiscreteMetaAction", "target_speeds": [10, 20, 30]}}
+    ),
+}
+
+
+def task_of(name: str) -> str:
+    """The task of the simulators that a task of the study is, which may be a variant."""
+    return VARIANTS[name].task if name in VARIANTS else name
+
+
 def sheet(task: str) -> Sheet:
     """The sheet of a task. Raises UserError for a task that has none."""
+    task = task_of(task)
     if task not in SHEETS:
         raise UserError(
             f"nothing is said of the task {task!r} in SHEETS of experiments/study/design/sheet.py, so that it cannot "

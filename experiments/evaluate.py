@@ -10,6 +10,8 @@ Five tasks in the lightest and the densest traffic, among regular, risky and mea
 events: 200 scenarios each, the same ones for everybody (docs/benchmark.md). About ten minutes on two cores, with
 --quick two. Writes card.json and card.html. --entry NAME also stores the card in results/entries.json.
 
+Other tasks are tested in the same way, on scenarios that are not frozen, beside drivers of fixed rules.
+
 benchmark.py measures the speed of the simulators and has nothing to do with this test.
 """
 
@@ -30,19 +32,22 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Annotated, Any
 
+import pandas as pd
 import tyro
 
+from agents.rules import POLICIES
 from experiments.reporting.card import ALL, part, rows, texts
 from experiments.reporting.page import render
-from experiments.study.compute.entrants import entrants
+from experiments.study.compute.entrants import Entrant, Place, entrants
 from experiments.study.compute.frozen_test import resolved, take
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.options import TaskNames
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, in_words, writing
+from experiments.support.errors import UserError, check_known, writing
 from experiments.support.files import read_json, sha256_bytes, write_file, write_json
 from experiments.support.provenance import provenance
-from sumo_env.benchmark import SETTINGS, SIZE, benchmark_scenarios, stored
+from sumo_env.benchmark import SETTINGS, SIZE, BenchmarkScenario, benchmark_scenarios, levels_of, stored
+from sumo_env.tasks import TASKS
 
 ENTRIES = Path(__file__).resolve().parents[1] / "results" / "entries.json"
 CARD, PAGE = "card.json", "card.html"
@@ -56,7 +61,7 @@ class Options:
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """A directory of train.py or sweep.py, a zip file of Stable-Baselines3, FILE:MAKE, a published agent or a rule."""
     tasks: TaskNames = ()
-    """Some tasks; by default those that the policy was trained for, or all."""
+    """Some tasks; by default those that the policy was trained for, or the five of the frozen test."""
     agent: str = ""
     """A part of the agent's name in the directory; by default the agent that was trained last."""
     quick: bool = False
@@ -67,27 +72,44 @@ class Options:
     """Store the card in results/entries.json, to be committed; NAME is what the driver is called there."""
 
 
-def evaluated(options: Options, arguments: Sequence[str]) -> dict[str, Any]:
-    """Drive the test; returns the card.
+def drivers(options: Options) -> dict[Place, Entrant]:
+    """Who drives at each task and level of the test.
 
     Raises:
-        UserError: there is no such policy or task, or the policy does not fit an environment.
+        UserError: there is no such policy or task, or it was not trained for one.
     """
-    who = entrants(
-        options.policy, [(task, name) for task in SETTINGS for name in SETTINGS[task]], options.agent
-    )
-    tasks = options.tasks or tuple(dict.fromkeys(task for task, _ in who))
-    with in_words():
-        scenarios = benchmark_scenarios(tasks, options.quick)
-    if strange := set(tasks) - {task for task, _ in who}:
+    check_known("task", options.tasks, TASKS)
+    places = [(task, level) for task in options.tasks or TASKS for level in levels_of(task)]
+    who = entrants(options.policy, places, options.agent)
+    if not options.tasks:
+        who = {at: one for at, one in who.items() if one.place or at[0] in SETTINGS}
+    if strange := [task for task in options.tasks if task not in {name for name, _ in who}]:
         raise UserError(f"{options.policy} cannot drive {', '.join(strange)}: leave it out of --tasks")
+    if not who:
+        raise UserError(f"no agent of {options.policy} was trained for {', '.join(TASKS)}")
+    return who
+
+
+def evaluated(options: Options, arguments: Sequence[str]) -> tuple[dict[str, Any], dict[str, Card]]:
+    """Drive the test; returns the card, and of tasks that are not frozen those of drivers of fixed rules, by name.
+
+    Raises:
+        UserError: as `drivers`, the policy does not fit an environment, or nothing could be driven.
+    """
+    who = drivers(options)
+    tasks = tuple(dict.fromkeys(task for task, _ in who))
+    scenarios = benchmark_scenarios(tasks, options.quick)
     with writing(options.out):  # before minutes of driving
         pass
     check_dynamics(("sumo", task) for task in tasks)
     groups = {group: list(own) for group, own in groupby(scenarios, lambda one: one.group)}
     who = resolved(who, groups)
-    episodes, digests = take(who, groups)
-    return {
+    driven, failed = take(who, groups)
+    found = list(rows(whole(driven))) if driven else []
+    if not found:
+        raise UserError(next(iter(failed.values())))
+    frozen = {group: stored(group, options.quick) for group in driven}
+    card = {
         "name": options.entry or Path(options.policy).name,
         "command": shlex.join(["python", "experiments/evaluate.py", *arguments]),
         "date": time.strftime("%Y-%m-%d"),
@@ -95,10 +117,35 @@ def evaluated(options: Options, arguments: Sequence[str]) -> dict[str, Any]:
         "drivers": {f"{task} {level}": one.name for (task, level), one in who.items()},
         "digests": {f"{task} {level}": one.digest for (task, level), one in who.items()},
         "set": {task: identity(task) for task in tasks},
-        "changed": [group for group in groups if digests[group] != stored(group, options.quick)],
+        "changed": [group for group, digest in frozen.items() if digest and driven[group][1] != digest],
+        "failed": failed,
         "provenance": provenance(),
-        "rows": list(rows(episodes)),
+        "rows": found,
     }
+    return card, beside({group: own for group, own in groups.items() if own[0].task not in SETTINGS}, card)
+
+
+def beside(groups: Mapping[str, list[BenchmarkScenario]], card: Card) -> dict[str, Card]:
+    """The cards of drivers of fixed rules in these groups of scenarios, by name; of a rule that fits."""
+    found: dict[str, Card] = {}
+    for rule in POLICIES if groups else ():
+        places = {(own[0].task, own[0].level) for own in groups.values()}
+        try:
+            who = resolved(entrants(rule, places), groups)
+        except UserError as error:
+            print(f"not beside {rule}: {error}")
+            continue
+        print(f"beside {rule}:")
+        driven, _ = take(who, groups)
+        found[rule] = {"set": card["set"], "rows": list(rows(whole(driven)))}
+    return found
+
+
+def whole(driven: Mapping[str, tuple[pd.DataFrame, str]]) -> pd.DataFrame:
+    """All episodes of the tasks and traffics of which every level was driven: a mean is over all of them."""
+    episodes = pd.concat(frame for frame, _ in driven.values())
+    levels = episodes.groupby(["task", "traffic"])["level"].transform("nunique")
+    return episodes[levels == episodes["task"].map(lambda task: len(levels_of(task)))]
 
 
 def identity(task: str) -> str:
@@ -123,13 +170,17 @@ def page(card: Card, others: Mapping[str, Card]) -> str:
         for task, traffic in zip(own["task"], own["traffic"], strict=True)
         if len(cards) > 1
     }
-    return render({"card": card, "full": SIZE, "own": own, "beside": beside}, "card.html.j2")
+    more = [task for task in card["set"] if task not in SETTINGS]
+    return render({"card": card, "full": SIZE, "own": own, "beside": beside, "more": more}, "card.html.j2")
 
 
 def evaluate(options: Options, arguments: Sequence[str]) -> int:
     """Do what the options ask for; returns the exit status."""
-    card = evaluated(options, arguments)
+    card, rules = evaluated(options, arguments)
     others = entries()
+    for name, rule in rules.items():
+        known = others.get(name, {"rows": [], "set": {}})
+        others[name] = {"rows": [*known["rows"], *rule["rows"]], "set": {**known["set"], **rule["set"]}}
     with writing(options.out):
         write_json(options.out / CARD, card)
         write_file(options.out / PAGE, page(card, others).encode())
@@ -137,13 +188,15 @@ def evaluate(options: Options, arguments: Sequence[str]) -> int:
     print(f"{shown.to_string(index=False)}\ncard, beside {len(others)} others: {options.out / PAGE}")
     if card["changed"]:
         print(f"not the frozen scenarios: {', '.join(card['changed'])} are drawn otherwise by this code")
+    for group, reason in card["failed"].items():
+        print(f"{group} was not driven: {reason}", file=sys.stderr)
     if options.entry:
-        if card["changed"]:
-            raise UserError("--entry stores cards of the frozen scenarios alone")
-        cards = {**others, options.entry: card}
+        if card["changed"] or card["failed"] or {*card["set"]} - {*SETTINGS}:
+            raise UserError("--entry stores complete cards of the frozen scenarios alone")
+        cards = {**entries(), options.entry: card}
         lines = [f"{json.dumps(name)}: {json.dumps(one)}" for name, one in cards.items()]
         write_file(ENTRIES, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
-    return 0
+    return 1 if card["failed"] else 0
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 Tasks, levels, traffics and seeds are written here. What is drawn from them follows from the code of the tasks:
 benchmark.json has digests of it, so that a set that has changed is not taken for this one. After a change that is
 meant, ``python -m sumo_env.benchmark`` writes them anew.
+
+Policies of other tasks are tested in the same way; their scenarios are not frozen.
 """
 
 from __future__ import annotations
@@ -70,26 +72,38 @@ def benchmark_scenarios(tasks: Iterable[str] = (), quick: bool = False) -> list[
     """The scenarios of the frozen test, group by group.
 
     Args:
-        tasks: some of the five tasks; all by default.
+        tasks: the five tasks of the frozen test by default; of others the scenarios are those of today's code.
         quick: the first 40 of the 200 scenarios of each group.
 
     Raises:
-        ConfigError: a task that the test does not have.
+        ConfigError: there is no such task.
     """
     for task in (asked := names_of("tasks", tasks)):
-        if task not in SETTINGS:
-            raise ConfigError(f"the frozen test has no task {task!r}: {nearest(task, SETTINGS)}")
-    found, seed = [], FIRST_SEED
-    for task, level in ((task, level) for task, levels in SETTINGS.items() for level in levels):
-        reset = f"sumo/{task}-v0", dict(TASKS[task].levels[level])
-        found += [
-            BenchmarkScenario(*reset, seed + number, options, task, level, traffic, number)
-            for traffic, options in TRAFFICS.items()
-            if not asked or task in asked
-            for number in range(QUICK if quick else SIZE)
-        ]
-        seed += SIZE
+        if task not in TASKS:
+            raise ConfigError(f"there is no task {task!r}: {nearest(task, TASKS)}")
+    found = []
+    for task in (one for one in TASKS if one in (asked or SETTINGS)):
+        for level in levels_of(task):
+            reset, seed = (f"sumo/{task}-v0", dict(TASKS[task].levels[level])), _first_seed(task, level)
+            found += [
+                BenchmarkScenario(*reset, seed + number, options, task, level, traffic, number)
+                for traffic, options in TRAFFICS.items()
+                for number in range(QUICK if quick else SIZE)
+            ]
     return found
+
+
+def levels_of(task: str) -> tuple[str, ...]:
+    """The lightest and the densest level of a task, if it has two."""
+    names = list(TASKS[task].levels)
+    return SETTINGS.get(task) or tuple(dict.fromkeys((names[0], names[-1])))
+
+
+def _first_seed(task: str, level: str) -> int:
+    """Settings of the frozen test share no seeds; those of another task have the first ones."""
+    frozen = [(name, one) for name, levels in SETTINGS.items() for one in levels]
+    number = frozen.index((task, level)) if task in SETTINGS else levels_of(task).index(level)
+    return FIRST_SEED + SIZE * number
 
 
 def digest(drawn: Iterable[Scenario]) -> str:
@@ -102,8 +116,9 @@ def digest(drawn: Iterable[Scenario]) -> str:
 
 
 def stored(group: str, quick: bool = False) -> str:
-    """The digest of the scenarios of a group as they were frozen."""
-    return str(json.loads(STORED.read_text())[group][0 if quick else 1])
+    """The digest of the scenarios of a group as they were frozen; empty for one that was not."""
+    digests = json.loads(STORED.read_text()).get(group, ["", ""])
+    return str(digests[0 if quick else 1])
 
 
 def _text(value: Any) -> str:

@@ -8,6 +8,7 @@ import shlex
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +38,15 @@ def check_known(kind: str, words: Iterable[object], known: Iterable[object]) -> 
     for word in words:
         if word not in names:
             raise unknown(kind, word, names)
+
+
+def in_a_line(error: BaseException) -> str:
+    """What went wrong: the message of a UserError, else the error with the place in the code where it was raised."""
+    if isinstance(error, UserError):
+        return str(error).partition("\n")[0]
+    *_, (frame, line) = [(None, 0), *traceback.walk_tb(error.__traceback__)]
+    place = f" ({Path(frame.f_code.co_filename).name}, line {line})" if frame else ""
+    return f"{type(error).__name__}: {error}".partition("\n")[0] + place
 
 
 @contextmanager

@@ -111,7 +111,7 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (swept(settings=("device=toaster",)), "device toaster"),
     (swept(executor="slurm"), "--executor slurm is for machines"),
     (partial(evaluate_card, "slower", tasks=("uturn",)), "did you mean 'u-turn'"),
-    (partial(evaluate_card, "slower", tasks=("merge",)), "the frozen test has no"),
+    (partial(evaluate_card, "treatment", tasks=("merge",)), "cannot drive merge"),
     (partial(evaluate_card, "slower", tasks=("u-turn",), out=Path("mine.py")), "mine.py"),
     (partial(evaluate_card, "."), "has weights:"),
     (partial(evaluate_card, "carefull", tasks=("u-turn",)), "did you mean 'careful'"),

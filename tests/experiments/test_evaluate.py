@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -55,6 +56,52 @@ def test_a_policy_of_one_s_own_gets_the_card_of_the_rule_that_it_is(short: Path,
         assert row["entered"] is None  # there is no crossing
         for value, low, high in (row["crashed"], row["return"]):
             assert low <= value <= high
+
+
+FAILS = """
+class Sometimes:
+    def act(self, observation):
+        if self.env.unwrapped.config["risk"] and self.env.unwrapped.scene.time > 2:
+            RAISE
+        return 4
+
+
+def make(env):
+    policy = Sometimes()
+    policy.env = env
+    return policy
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("raise KeyError('oh')", "KeyError: 'oh' (mine.py, line 5)"), ("return 1, None", "predict")],
+)
+def test_what_a_policy_drove_before_it_failed_is_kept(
+    fault: str, words: str, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").write_text(FAILS.replace("RAISE", fault))
+    asked = evaluate.Options(f"{tmp_path}/mine.py:make", tasks=("u-turn",), quick=True, out=tmp_path)
+    assert evaluate.evaluate(asked, []) == 1
+    card = json.loads((tmp_path / evaluate.CARD).read_text())
+    assert {row["traffic"] for row in card["rows"]} == {"regular", "measured"}
+    assert {*card["failed"]} == {
+        f"u-turn-{level}-{kind}" for level in (3, 12) for kind in ("risky", "no-events")
+    }
+    said = capsys.readouterr().err
+    assert words in said and "scenario 0 of u-turn-3-risky" in said
+    assert "Not all was driven" in (tmp_path / evaluate.PAGE).read_text()
+
+
+def test_a_task_that_is_not_frozen_is_tested_beside_rules(short: Path, tmp_path: Path) -> None:
+    asked = evaluate.Options("slower", tasks=("merge",), quick=True, out=tmp_path)
+    assert evaluate.evaluate(asked, []) == 0
+    page = (tmp_path / evaluate.PAGE).read_text()
+    assert "Not frozen" in page and all(
+        f'<th scope="row">{rule}</th>' in page for rule in ("idle", "careful")
+    )
+    with pytest.raises(UserError, match="frozen scenarios"):
+        evaluate.evaluate(replace(asked, entry="slow"), [])
 
 
 def test_another_set_says_so_and_enters_no_table(short: Path, tmp_path: Path, monkeypatch, capsys) -> None:

@@ -15,6 +15,7 @@ from experiments.study.compute.wrappers import UnseenRisk
 from experiments.study.design.arms import scenario_seed, stream_seed
 from experiments.study.design.traffic import TRAFFICS, traffic_named
 from experiments.study.results.schema import ACTIONS, COLUMNS
+from experiments.support.errors import UserError
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
 CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
@@ -93,6 +94,10 @@ def play_from(
     terminated = truncated = False
     while not (terminated or truncated):
         action = policy.act(observation)
+        if isinstance(action, tuple):
+            raise UserError(
+                f"act returned the tuple {action}, not an action: of model.predict return the first part"
+            )
         observation, reward, terminated, truncated, info = env.step(action)
         rewards.append(float(reward))
         steps.append(info)

@@ -1,4 +1,4 @@
-"""The frozen test of `sumo_env.benchmark` driven, in parallel processes."""
+"""The test of `sumo_env.benchmark` driven, in parallel processes."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from experiments.study.compute.executors import cores
 from experiments.study.compute.executors.local import LocalExecutor
 from experiments.study.design.arms import stream_seed
 from experiments.study.results.schema import COLUMNS
+from experiments.support.errors import UserError, in_a_line
 from sumo_env.benchmark import BenchmarkScenario, digest
 
 
@@ -24,8 +25,13 @@ def drive(entrant: Entrant, scenarios: Sequence[BenchmarkScenario]) -> tuple[pd.
     with closing(_env(first)) as env:
         seen, policy = entrant.make(env)
         for one in scenarios:
-            policy.reset(stream_seed("frozen test", one.group, one.number))
-            rows.append({"scenario": one.number, **play_from(seen, policy, one.seed, one.options)})
+            try:
+                policy.reset(stream_seed("frozen test", one.group, one.number))
+                row = play_from(seen, policy, one.seed, one.options)
+            except (Exception, SystemExit) as error:  # whatever somebody's policy does
+                where = f"{entrant.name} in scenario {one.number} of {one.group}"
+                raise UserError(f"{where}: {in_a_line(error)}") from error
+            rows.append({"scenario": one.number, **row})
             drawn.append(env.unwrapped.scenario)
     frame = pd.DataFrame(rows).assign(task=first.task, level=first.level, traffic=first.traffic)
     return frame.astype(COLUMNS), digest(drawn)
@@ -55,22 +61,25 @@ def resolved(
 
 def take(
     who: Mapping[Place, Entrant], groups: Mapping[str, list[BenchmarkScenario]]
-) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Drive groups of scenarios in processes; returns all episodes, and the digest of each group's scenarios.
+) -> tuple[dict[str, tuple[pd.DataFrame, str]], dict[str, str]]:
+    """Drive groups of scenarios in processes. who: as `resolved`.
 
-    who: as `resolved`.
+    Returns:
+        What `drive` returns of each group, and of those that could not be driven the reason.
     """
     executor = LocalExecutor(cores())
-    frames, digests = [], {}
+    found, failed = dict[str, tuple[pd.DataFrame, str]](), dict[str, str]()
     try:
         futures = {
-            group: executor.submit(drive, who[own[0].task, own[0].level], own)
-            for group, own in groups.items()
+            name: executor.submit(drive, who[own[0].task, own[0].level], own) for name, own in groups.items()
         }
-        for group, future in futures.items():
-            frame, digests[group] = future.result()
-            frames.append(frame)
-            print(f"{len(frames)}/{len(groups)} groups of scenarios: {group}", flush=True)
+        for number, (name, future) in enumerate(futures.items(), 1):
+            if (error := future.exception()) is None:
+                found[name] = future.result()
+            else:
+                failed[name] = in_a_line(error)
+            said = f"failed: {failed[name]}" if name in failed else name
+            print(f"{number}/{len(groups)} groups of scenarios: {said}", flush=True)
     finally:
         executor.shutdown(cancel_futures=True)
-    return pd.concat(frames), digests
+    return found, failed

@@ -26,7 +26,7 @@ from typing import Literal, Protocol
 from filelock import FileLock, Timeout
 
 from experiments.study.results.working import LOCK, LOG, PROGRESS, last_words
-from experiments.support.errors import FULL, UserError, disk_error
+from experiments.support.errors import FULL, UserError, disk_error, in_a_line
 from experiments.support.files import made, not_followed
 from sumo_env.simulator import SimulatorError
 
@@ -105,13 +105,12 @@ def attempt(task: Task) -> Attempt:
                     task.compute(heartbeat)
             shutil.rmtree(task.folder, ignore_errors=True)
         return Attempt("done")
-    except Exception as error:  # whatever goes wrong in one task must not end the others
+    except (Exception, SystemExit) as error:  # whatever goes wrong in one task must not end the others
         if isinstance(error, OSError) and error.errno in DISK:
             return Attempt("fatal", str(disk_error(error, task.folder)))
         said = isinstance(error, UserError)
         log(task.folder, str(error) if said else "".join(traceback.format_exception(error)))
-        reason = (str(error) if said else f"{type(error).__name__}: {error}").partition("\n")[0]
-        return Attempt("lost" if isinstance(error, SURROUNDINGS) else "failed", reason)
+        return Attempt("lost" if isinstance(error, SURROUNDINGS) else "failed", in_a_line(error))
 
 
 def compute_here(task: Task) -> None:

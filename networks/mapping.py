@@ -99,6 +99,19 @@ class Network:
         raise ValueError(f"no route from {index} to {destination!r} on {self.road.name}; ends: {choices}")
 
     @cached_property
+    def junctions(self) -> Mapping[tuple[str, str], float]:
+        """Length [m] of the way through the junction from one of SUMO's edges to another one, on the rightmost lane."""
+        found: dict[tuple[str, str], float] = {}
+        for start, lane in self.sumo_lanes.items():
+            for name in () if start.startswith(":") else lane.following:
+                way = 0.0
+                while name.startswith(":"):  # a long way is made of several lanes
+                    way += self.sumo_lanes[name].length
+                    name = next(iter(self.sumo_lanes[name].following), "")
+                found.setdefault((edge_of(start), edge_of(name)), way)
+        return found
+
+    @cached_property
     def parting(self) -> Mapping[str, frozenset[str]]:
         """SUMO's lanes that lead on to fewer edges than the lanes beside them, with these edges."""
         joints = {lane.id: lane.following for lane in self.lanes.values() if not lane.id.startswith(":")}

@@ -80,7 +80,7 @@ class Place(NamedTuple):
         ahead: what is left of its route, as edges, the present one (or the one before the junction) first.
         free: how far it gets along its route without a lane change [m]; inf where the lane leads on.
         free_left, free_right: likewise from the lane beside; 0 where it may not change to that lane.
-        progress: share of its route that it has driven in this policy step; from departure to arrival they add up to 1.
+        progress: metres of this policy step over those of the whole way as it then stands, driven and left.
         ended: "" on its way, "arrived", "missed turn" (its lane does not lead on, and it can no longer change),
             or "removed" (by SUMO: teleported, say).
         red_light: whether it has driven over a stop line at red in this policy step.
@@ -91,6 +91,7 @@ class Place(NamedTuple):
         target_speed: that is commanded [m/s]; its own speed where SUMO drives.
         overlap: id of a vehicle whose outline the ego's has touched in this policy step without a crash, "" if none.
         fuel: burnt in this policy step [mg]; electricity: consumed [Wh].
+        on_road: whether it is on a lane of SUMO, or has arrived; it is on none while it is parked beside the road.
     """
 
     lane: LaneIndex
@@ -110,6 +111,7 @@ class Place(NamedTuple):
     fuel: float = 0.0
     electricity: float = 0.0
     overlap: str = ""
+    on_road: bool = True
 
 
 class NearEvents(NamedTuple):

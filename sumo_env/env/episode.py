@@ -125,7 +125,7 @@ class CarEpisode:
         index = known.lane if known is not None else self.road.closest_lane(x, y, heading)
         lane = self.road.lane(index)
         s, lateral = lane.local_coordinates(x, y)
-        return index, s, lateral, lane.covers(s, lateral)
+        return index, s, lateral, lane.covers(s, lateral) if known is None else known.on_road
 
     def situation(self, target_speeds: tuple[float, ...]) -> Situation:
         """What its actions and observations are made of now."""

@@ -18,11 +18,14 @@ from typing import NoReturn
 from xml.parsers import expat
 
 from sumo_env.config import ConfigError, did_you_mean
+from sumo_env.networks.meeting import edge_of
 from sumo_env.sumo.user_files import INPUTS, seconds
 from sumo_env.sumo.user_options import is_connection
+from sumo_env.traffic.scenario import Arrival
 
 NOT_IN_NETWORKS = {"edgeData", "laneData", "timedEvent"}  # they end the process there
 VEHICLES = {"vehicle", "trip", "flow"}
+REMOVING = {"calibrator", "vaporizer"}
 PEOPLE = {"person", "personFlow"}
 DEPARTING = {*VEHICLES, *PEOPLE, "container", "containerFlow"}
 OTHER_FILES = {"net": "a network", "configuration": "a configuration", "osm": "a map of OpenStreetMap"}
@@ -41,7 +44,8 @@ class Contents:
         models: car-following models of the vehicle types, by type; "" where a type names none.
         distributions: ids of distributions of vehicle types.
         people: whether somebody is on foot.
-        stopping: ids of vehicles and flows that arrive at a place of their own (``arrivalPos``).
+        arrivals: of vehicles, trips and flows that say where they arrive, by their ids.
+        removing: edges on which calibrators or vaporizers remove vehicles.
         first_departure: time of the first departure [s], None without one.
         left_out: ids of what SUMO leaves out: it departs earlier than what stands before it in a route file.
     """
@@ -52,7 +56,8 @@ class Contents:
         self.models: dict[str, str] = {}
         self.distributions: set[str] = set()
         self.people = False
-        self.stopping: set[str] = set()
+        self.arrivals: dict[str, Arrival] = {}
+        self.removing: set[str] = set()
         self.first_departure: float | None = None
         self.left_out: list[str] = []
 
@@ -190,10 +195,12 @@ class _Reader:
             contents.models[name] = has.get("carFollowModel", "")
         if tag == "vTypeDistribution":
             contents.distributions.add(name)
-        if has.get("arrivalPos", "max") != "max":
-            contents.stopping.add(name)
         if tag in VEHICLES:
             contents.vehicles.add(name)
+            if {"arrivalPos", "arrivalEdge"} & has.keys():
+                contents.arrivals[name] = Arrival(has.get("arrivalPos", "max"), has.get("arrivalEdge", ""))
+        if tag in REMOVING:
+            contents.removing.add(has.get("edge", "") or edge_of(has.get("lane", "")) or name)
         contents.people |= tag in PEOPLE
         depart = has.get("depart", has.get("begin", ""))
         if tag in DEPARTING and re.fullmatch(r"[\d.:]+", depart):

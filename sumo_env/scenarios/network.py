@@ -279,7 +279,8 @@ class NetworkTask(Task):
                 rates=self.risk_rates,
                 own_kinds=self.own_kinds,
                 models=models,
-                stopping=tuple(sorted(self._contents.stopping)),
+                arrivals=tuple(self._contents.arrivals.items()),
+                removing=frozenset(self._contents.removing),
                 duration=float(config["duration"]),
                 measures_energy=measures_energy(config),
                 sees_foes=not {*FOE}.isdisjoint(config["observation"].get("features") or ()),
@@ -326,7 +327,6 @@ class NetworkTask(Task):
             "arrived_reward": float(self.arrived(ego)),
             "missed_turn_reward": float(place.ended == "missed turn"),
             "red_light_reward": float(place.red_light),
-            "on_road_reward": float(ego.on_road),
             **terms(ego, config),
         }
 

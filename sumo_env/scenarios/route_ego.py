@@ -5,19 +5,21 @@ Its type limits what commands can do. Without a target speed or a target lane SU
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import inf, sqrt
 
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.meeting import edge_of
 from sumo_env.networks.roads import LaneIndex
+from sumo_env.scenarios.progress import Progress
 from sumo_env.scene import NOBODY, RED, YELLOW, Light, Neighbour, Place
 from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.ego import coast, driven
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.surroundings import foe, neighbours
 from sumo_env.sumo.vehicle import Vehicle
-from sumo_env.traffic.scenario import Scenario
+from sumo_env.traffic.scenario import Arrival, Scenario
 
 REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
 # [m/s2] usual and hardest braking before traffic lights; where one would need more than its own, the ego drives on
@@ -51,26 +53,31 @@ class RouteEgo:
         self._acceleration: float | None = None
         self._target_lane: LaneIndex | None = None
         self._lane, self._length, self._leads_on, self._may_turn = "", 0.0, True, True
+        self._is_on_lane, self._is_opposite, self._was_opposite = True, False, False
         self._sides: tuple[LaneIndex | None, LaneIndex | None] = (None, None)
         self._reaches: tuple[float, float] = (0.0, 0.0)  # how far the lanes beside lead, from their start [m]
         self.ahead: tuple[str, ...] = ()
+        self._route = ""  # SUMO's id of it, which changes with the route
+        arrivals = dict(scenario.traffic.arrivals)
+        self._arrival = arrivals.get(name) or arrivals.get(name.rpartition(".")[0], Arrival())
+        self._removing = scenario.traffic.removing
         self._index: LaneIndex = next(iter(network.lanes))
+        self._left = self._beyond = (
+            0.0  # [m] to the end of its way, from its front and from the end of its lane
+        )
         self.read_lane()
-        self._odometer, self._last_rest = 0.0, 0.0  # [m]
-        self._count_metres()
-        # [m] at the start of this policy step, and at the departure
-        self._left = self._way = self._remaining()
-        self._position, self._accel = 0.0, session.vehicle.getAccel(name)  # before the present step
+        self._odometer = float(session.vehicle.getDistance(name))  # [m]
+        self._progress = Progress(self._route)
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO back what is not commanded."""
-        self._left = self._remaining()
+        paid = self._progress.share(self._route, self._left)
+        self.read_lane(again=True)  # routes and lanes may have changed since it came here
+        self._progress.begin_step(paid, self._route, self._left)
         self._fuel = self._electricity = 0.0
-        self._accel = self._session.vehicle.getAccel(self._name)
         self.overlap = ""
         if self.vehicle.crashed:
             return
-        self.read_lane(again=True)  # routes and lanes may have changed since it came here
         self._target_speed, self._target_lane, self._acceleration = command
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index
@@ -85,7 +92,6 @@ class RouteEgo:
     def drive(self, here: State, dt: float) -> None:
         """Command the next step of `dt` [s]; `settle` says how far it gets."""
         session, name, before = self._session, self._name, self.speed
-        self._position = session.vehicle.getLanePosition(name)
         self._signal = session.vehicle.getNextTLS(name)[:1]
         if self.vehicle.crashed:
             self.vehicle.drive(coast(before, dt)[0])
@@ -138,23 +144,67 @@ class RouteEgo:
             self.ended = "missed turn"
         return self._count_metres()
 
+    def leave(self) -> float:
+        """SUMO has taken it off the road in this step; returns the distance that was driven [m].
+
+        It has arrived, unless there is what removes vehicles from that edge, and it was not at the end of its way.
+        """
+        of, name = self._session.vehicle, self._name
+        self.ahead, self._route = of.getRoute(name)[of.getRouteIndex(name) :], of.getRouteID(name)
+        metres = self._count_metres()
+        left = max(self._left - metres, 0.0)
+        is_removed = self.ahead[0] in self._removing and left > REACHED
+        self.ended, self._left = ("removed", left) if is_removed else ("arrived", 0.0)
+        return metres
+
     def _count_metres(self) -> float:
-        """What SUMO's odometer has counted since the last call [m]; it counts for vehicles on lanes alone."""
-        before, now = self._odometer, float(self._session.vehicle.getDistance(self._name))
-        self._odometer = max(now, before)
-        return self._odometer - before
+        """What it has driven since the last call [m], by SUMO's odometer, which counts for vehicles on lanes alone.
+
+        On the lane of oncoming traffic, where it counts from the other end, SUMO's speed says it.
+        """
+        before, self._odometer = self._odometer, float(self._session.vehicle.getDistance(self._name))
+        is_apart, self._was_opposite = self._is_opposite or self._was_opposite, self._is_opposite
+        metres = self.speed * self._session.step_length if is_apart else max(self._odometer - before, 0.0)
+        self._progress.drive(metres)
+        return metres
 
     def read_lane(self, again: bool = False) -> None:
-        """Read where the ego is; what belongs to a lane is read when it comes there, or again.
+        """Read where the ego is; what belongs to a lane or a route is read when it comes there, or again.
 
         A vehicle that is parked, or that SUMO is teleporting, is on no lane: its last one stands.
         """
-        session = self._session
-        lane = session.vehicle.getLaneID(self._name)
-        if not lane or (lane == self._lane and not again):
+        of, name = self._session.vehicle, self._name
+        lane, route = of.getLaneID(name), of.getRouteID(name)
+        self._is_on_lane = bool(lane)
+        if not lane:
             return
-        of = session.vehicle
-        self._lane, self.ahead = lane, of.getRoute(self._name)[max(of.getRouteIndex(self._name), 0) :]
+        if again or (lane, route) != (self._lane, self._route):
+            self._lane, self._route = lane, route
+            self._look_ahead()
+            self._look_aside()
+        driven, length = of.getLanePosition(name), self._network.sumo_lanes[lane].length
+        # overtaking on the lane of oncoming traffic, where SUMO counts from the other end
+        self._is_opposite = not lane.startswith(":") and edge_of(lane) != self.ahead[0]
+        self._left = max(self._beyond + (driven if self._is_opposite else length - driven), 0.0)
+
+    def _look_ahead(self) -> None:
+        """Read what is left of its way."""
+        of, name, network = self._session.vehicle, self._name, self._network
+        route, index = of.getRoute(name), max(of.getRouteIndex(name), 0)
+        self.ahead = route[index : self._arrival.end(index, len(route))]
+        following, edges, way = self._lane, self.ahead, 0.0
+        if following.startswith(":"):  # in a junction the edge before is the first one
+            edges = edges[1:]
+            while (following := next(iter(network.sumo_lanes[following].following), "")).startswith(":"):
+                way += network.sumo_lanes[following].length
+            way += self._edge_length(edges[0]) if edges else 0.0
+        way += sum(network.junctions.get(pair, 0.0) + self._edge_length(pair[1]) for pair in pairwise(edges))
+        length = self._edge_length(self.ahead[-1])
+        self._beyond = way - (length - self._arrival.place(length))
+
+    def _look_aside(self) -> None:
+        """Read its lane and the lanes beside it."""
+        lane = self._lane
         if lane not in self._network.indices:
             raise SimulatorError(
                 f"the ego {self._name!r} ({self._class}) is on {lane!r}, no lane for vehicles of roads: take another "
@@ -209,35 +259,8 @@ class RouteEgo:
         """How far the ego gets without a lane change [m]; inf where its lane leads on."""
         return inf if self._leads_on else self._length - self._session.vehicle.getLanePosition(self._name)
 
-    def _remaining(self) -> float:
-        """From the front of the ego to the end of its route [m], without the ways through junctions."""
-        of = self._session.vehicle
-        if of.getLaneID(self._name):  # else it is parked, or on no lane for a moment
-            self._last_rest = self._rest(of.getLanePosition(self._name))
-        return self._last_rest
-
     def _edge_length(self, edge: str) -> float:
         return self._network.sumo_lanes[f"{edge}_0"].length
-
-    def _rest(self, driven: float) -> float:
-        """As `_remaining`, of the ego at `driven` [m] of its lane."""
-        edge, (here, *rest) = edge_of(self._lane), map(self._edge_length, self.ahead)
-        present = 0.0 if edge.startswith(":") else here - driven
-        if not edge.startswith(":") and edge != self.ahead[0]:  # on the lane of oncoming traffic
-            present = driven
-        return present + sum(rest)
-
-    def last_way(self, dt: float, anywhere: bool) -> float | None:
-        """How far it was to the end of its route for the ego, which has left the road [m].
-
-        None where that is further than it could get within the step of `dt` [s]: then it has not arrived. anywhere:
-        whether it may have arrived anywhere on its last edge.
-        """
-        within = (self.speed + self._accel * dt) * dt + REACHED
-        if anywhere:
-            return self.speed * dt if sum(map(self._edge_length, self.ahead[1:])) <= within else None
-        rest = self._rest(self._position)
-        return rest if rest <= within else None
 
     @property
     def target_lane(self) -> LaneIndex:
@@ -248,14 +271,9 @@ class RouteEgo:
     def place(self, waiting: int) -> Place:
         """As a scene has it."""
         left, right = (side is not None for side in self._sides)
-        arrived, gone = self.ended == "arrived", self.ended in ("arrived", "removed")
+        gone = self.ended in ("arrived", "removed")
         driven = 0.0 if gone else self._session.vehicle.getLanePosition(self._name)
         beside = [max(reach - driven, 0.0) for reach in self._reaches]
-        if self.ended == "removed":
-            progress = 0.0
-        else:
-            driven = self._left - (0.0 if arrived else self._remaining())
-            progress = driven / self._way if self._way > 0.0 else float(arrived)
         return Place(
             lane=self._index,
             left=left,
@@ -264,7 +282,7 @@ class RouteEgo:
             free=0.0 if self.ended == "missed turn" else self.free,
             free_left=beside[0],
             free_right=beside[1],
-            progress=progress,
+            progress=self._progress.share(self._route, self._left),
             ended=self.ended,
             red_light=self.red_light,
             waiting=waiting,
@@ -274,6 +292,7 @@ class RouteEgo:
             fuel=self._fuel,
             electricity=self._electricity,
             overlap=self.overlap,
+            on_road=self.ended == "arrived" or (self._is_on_lane and self.ended != "removed"),
         )
 
     def _neighbours(self) -> tuple[Neighbour, ...]:

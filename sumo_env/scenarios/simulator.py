@@ -146,17 +146,14 @@ class FileSimulator(SumoSimulator):
                 self._make_risky(vehicle)
         for name in session.arrived:
             self._road.pop(name, None)
+        teleporting = session.simulation.getStartingTeleportIDList()
         for name, car in self._cars.items():
             if car.ego.ended:
                 continue
-            # a vehicle that SUMO would teleport beyond its route leaves in the same step
-            if name in session.simulation.getStartingTeleportIDList():
+            if name in teleporting:  # one that would get beyond its route leaves in the same step
                 car.ego.ended = "removed"
             elif name not in self._road:
-                stops = not {name, name.rpartition(".")[0]}.isdisjoint(self._traffic.stopping)
-                way = car.ego.last_way(self._dt, stops)
-                car.ego.ended = "removed" if way is None else "arrived"
-                car.distance += way or 0.0
+                car.distance += car.ego.leave()
         return reported
 
     # -- risk ----------------------------------------------------------------------------------------------

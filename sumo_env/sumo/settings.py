@@ -106,7 +106,8 @@ def file_settings(scenario: Scenario, further: Mapping[str, str], outputs: Path 
     if outputs is not None:
         given["output-prefix"] = f"{TO_THE_ROOT}{str(outputs).lstrip('/')}/"
     seed = scenario.seed if scenario.traffic.seed is None else scenario.traffic.seed
-    options |= {**given, **COLLISIONS, "seed": str(seed)}
+    # SUMO can be asked how far a vehicle drove that has left the road in the last step
+    options |= {**given, **COLLISIONS, "seed": str(seed), "keep-after-arrival": options["step-length"]}
     return Settings(float(options["step-length"]), options, scenario.traffic.elements)
 
 

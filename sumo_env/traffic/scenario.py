@@ -110,6 +110,25 @@ class Origin:
     speed: str = "avg"
 
 
+class Arrival(NamedTuple):
+    """Where the way of a vehicle of the files ends, in SUMO's words: arrivalPos and arrivalEdge."""
+
+    pos: str = "max"
+    edge: str = ""
+
+    def place(self, length: float) -> float:
+        """On the last edge, of this length [m]; a random place is not known, and taken for the end."""
+        try:
+            place = float(self.pos)
+        except ValueError:
+            return length / 2.0 if self.pos == "center" else length
+        return min(max(place + length if place < 0.0 else place, 0.0), length)
+
+    def end(self, index: int, edges: int) -> int:
+        """Number of the edge that comes after the last one, of a route of so many edges on which it is at `index`."""
+        return int(self.edge) + 1 if self.edge.isdecimal() and index <= int(self.edge) < edges else edges
+
+
 @dataclass(frozen=True, slots=True)
 class SumoTraffic:
     """Traffic that SUMO loads, routes and inserts itself.
@@ -123,7 +142,8 @@ class SumoTraffic:
         wait: longest time that SUMO may need to insert the ego after the warm-up [s].
         ranges, rates, own_kinds: what risk does to the drivers.
         models: car-following models of vehicle types, where the files name one.
-        stopping: ids of vehicles and flows that need not arrive at the end of an edge.
+        arrivals: of vehicles and flows, by their ids, that do not arrive at the end of their route.
+        removing: edges on which something removes vehicles: calibrators and vaporizers.
         duration: of the episode [s], after which no event begins.
         seed: of SUMO's random numbers; None for that of the scenario.
         measures_energy, sees_foes: whether SUMO is asked what the ego consumes, and to whom it has to give way.
@@ -139,7 +159,8 @@ class SumoTraffic:
     rates: RiskRates = NO_EVENTS
     own_kinds: tuple[EventKind, ...] = ()
     models: tuple[tuple[str, str], ...] = ()
-    stopping: tuple[str, ...] = ()
+    arrivals: tuple[tuple[str, Arrival], ...] = ()
+    removing: frozenset[str] = frozenset()
     duration: float = 60.0
     seed: int | None = None
     imagined: tuple[tuple[float, int], ...] = ()

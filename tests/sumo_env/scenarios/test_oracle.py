@@ -6,15 +6,19 @@ import math
 import shlex
 import subprocess
 from pathlib import Path
+from random import Random
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+import sumo_env
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand
 from tests.sumo_env.plans import SUMO, Rows, floating_car_data, needs_sumo
+from tests.sumo_env.scenarios.demand import drawn
 from tests.sumo_env.scenarios.files import SCENARIOS, written
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*outputs are off")]
@@ -131,3 +135,74 @@ def test_an_added_car_changes_nothing_before_it_comes_and_little_on_the_whole_la
             ours.append((len(scene) - 1, float(np.mean(scene.speed[1:]))))
             theirs.append((len(cars), float(np.mean([float(car["speed"]) for car in cars.values()]))))
     assert np.mean(ours, axis=0) == pytest.approx(np.mean(theirs, axis=0), rel=0.05)
+
+
+# -- what is paid --------------------------------------------------------------------------------------------------
+
+CARS = ["ego", "t3", "t4"]
+MOST_BEFORE = 20.0  # [m] that a car drives before the policy step in which its agent takes over
+
+
+@pytest.mark.parametrize(
+    "seed", [*range(6), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(6, 80))]
+)
+def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(
+    seed: int, tmp_path: Path
+) -> None:
+    """One car or several, of any kind and with any way, driven by SUMO or by an agent, among risky drivers or not."""
+    rng = Random(seed)
+    net, routes, beside = drawn(tmp_path, rng)
+    trips, by_sumo = tmp_path / "trips.xml", seed % 2 == 0
+    config = {"duration": 150, "policy_frequency": rng.choice([1, 2, 10]), "risk": float(rng.random() < 0.5)}
+    teleports = seed % 3 == 0
+    options = ["--tripinfo-output", str(trips), "--ignore-route-errors"]
+    options += ["--time-to-teleport", "30" if teleports else "-1"]
+    env = sumo_env.parallel_env(
+        net,
+        config,
+        routes=routes,
+        additional=beside,
+        vehicles=CARS[: rng.choice([1, 3])],
+        sumo_options=options,
+    )
+    env.reset(seed=seed)
+    steps: dict[str, list[tuple[float, dict[str, Any]]]] = {}
+    while env.agents:
+        for agent in env.agents:
+            env.cars[agent].hand_over(by_sumo)
+        acting = env.agents
+        _, rewards, *_, infos = env.step({agent: rng.choice([0, 1, 2, 3, 3, 3]) for agent in acting})
+        for agent in acting:
+            steps.setdefault(env.ids[agent], []).append((rewards[agent], infos[agent]))
+    env.close()
+    said = {trip.get("id"): trip for trip in ElementTree.parse(trips).getroot()}
+    for name, driven in steps.items():
+        trip, has_left = said.get(name), teleports and driven[-1][1]["removed"]
+        has_arrived = trip is not None and trip.get("vaporized") == "" and not has_left
+        assert not wrongly_paid(driven, trip, has_arrived, env.cars["car_0"].config), name
+
+
+def wrongly_paid(
+    steps: list[tuple[float, dict[str, Any]]], trip: Any, has_arrived: bool, config: dict[str, Any]
+) -> list[str]:
+    """What is wrong with the rewards and infos of a car's policy steps; trip: what SUMO says of it."""
+    shares = np.array([info["rewards"]["progress_reward"] for _, info in steps])
+    metres = np.array([info["distance"] for _, info in steps])
+    last, wrong = steps[-1][1], []
+    for reward, info in steps:
+        if reward != pytest.approx(sum(config.get(name, 0) * term for name, term in info["rewards"].items())):
+            wrong.append(f"{reward} for {info['rewards']}")
+    costs = [info["rewards"]["collision_reward"] + info["rewards"]["missed_turn_reward"] for _, info in steps]
+    if any(costs[:-1]) or costs[-1] != last["crashed"] + last["missed_turn"]:
+        wrong.append(f"costs {costs}")
+    if last["arrived"] != has_arrived:
+        wrong.append(f"{last['ending']!r}, SUMO: {trip is not None and trip.attrib}")
+    if shares.min() < 0.0 or np.any((shares[:-1] > 0.0) & (metres[:-1] == 0.0)):
+        wrong.append(f"shares {shares} for {metres} m")
+    if has_arrived and trip.get("rerouteNo") == "0" and metres.sum() > 0.0:
+        # a way through a junction is a little longer on one lane than on another
+        if not np.allclose(shares, metres / metres.sum(), atol=0.01) or abs(shares.sum() - 1.0) > 1e-9:
+            wrong.append(f"shares {shares} for {metres} m, {shares.sum()} in all")
+        if not -0.1 < float(trip.get("routeLength")) - metres.sum() < MOST_BEFORE:
+            wrong.append(f"{metres.sum()} m, SUMO: {trip.attrib}")
+    return wrong

@@ -252,14 +252,15 @@ class SumoSimulator:
         self._steps_done += 1
 
     def _obey(self, commands: Commands) -> None:
-        """Begin a policy step of the learning cars: who has no command is SUMO's."""
+        """Begin a policy step of the learning cars whose way has not ended: who has no command is SUMO's."""
         for name, command in commands.items():
             if command is None:
                 self._remove(name)
             elif name not in self._cars:
                 raise SimulatorError(f"the car {name!r} is gone: did libsumo remove it? Call reset().")
         for name, car in self._cars.items():
-            car.obey(commands.get(name))
+            if not car.ego.ended:
+                car.obey(commands.get(name))
 
     def _advance(self) -> Sequence[tuple[str, str]]:
         """One step of SUMO; returns the pairs of vehicles of the scenario that it reports in collision."""

@@ -103,6 +103,25 @@ def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
     assert list(env.ids.values()) == ["early", "late", "g.0", "g.1"]
 
 
+def test_a_car_that_arrives_before_its_agent_has_acted_is_paid_and_the_others_drive_on(
+    tmp_path: Path,
+) -> None:
+    net = build(tmp_path, ("a 0 0, b 500 0, c 520 0", "ab a b 1 25, bc b c 1 25"))
+    cars = (
+        '<vType id="cav"/><trip id="long" type="cav" depart="0" from="ab" to="bc"/>'
+        '<trip id="short" type="cav" depart="1.2" from="bc" to="bc" departSpeed="max"/>'
+    )
+    env = sumo_env.parallel_env(net, routes=route_file(tmp_path, cars), vehicle_type="cav", max_cars=2)
+    env.reset(seed=0)
+    while "car_1" not in env.agents:
+        env.step(dict.fromkeys(env.agents, 3))
+    _, rewards, ends, _, infos = env.step(dict.fromkeys(env.agents, 3))
+    assert infos["car_1"]["ending"] == "arrived" and rewards["car_1"] == pytest.approx(10.0)
+    assert ends == {"car_0": False, "car_1": True} and env.agents == ["car_0"]
+    env.step({"car_0": 3})
+    env.close()
+
+
 def test_a_crashed_car_stays_an_obstacle_after_sumo_has_teleported_it(
     road: tuple[Path, Path], tmp_path: Path
 ) -> None:

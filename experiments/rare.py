@@ -36,12 +36,10 @@ import tyro
 from experiments.analysis import rare as analysis
 from experiments.backends import make_env
 from experiments.reporting.rare import rare_figure
+from experiments.study.compute.batches import driven
 from experiments.study.compute.entrants import entrant_of
-from experiments.study.compute.executors import EXECUTORS, open_executor
-from experiments.study.compute.executors.local import TASKS_PER_PROCESS
-from experiments.study.compute.progress import ProgressDisplay
+from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.rare import Batch, Question
-from experiments.study.compute.run import run
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, check_known, writing
@@ -137,17 +135,8 @@ def drive(
     """Episodes of these components, those included that were driven before. Raises UserError where some failed."""
     rounds = max(BATCH // len(components), 1)
     count = -(-episodes // (rounds * len(components)))
-    batches = [Batch(asked, options.out, part, tuple(components), rounds, k) for k in range(count)]
-    there = {batch.name for batch in batches if batch.done()}
-    sizes, kind, failures = {batch.name: 1.0 for batch in batches}, f"batches ({part})", dict[str, str]()
-    with closing(ProgressDisplay(options.out / "work", sizes, there, kind)) as progress:
-        if left := [batch for batch in batches if batch.name not in there]:
-            executor = open_executor(options.executor, options.workers, options.out, TASKS_PER_PROCESS)
-            failures = run(left, *executor, progress)
-    if failures:
-        name, reason = next(iter(failures.items()))
-        raise UserError(f"{len(failures)} batches failed; {name}: {reason}. Run the command again to go on")
-    return pd.concat([batch.file.read() for batch in batches], ignore_index=True)
+    batches = [Batch(options.out, asked, part, tuple(components), rounds, k) for k in range(count)]
+    return driven(batches, options.executor, options.workers, f"batches ({part})")
 
 
 def curve_of(

@@ -13,6 +13,7 @@ import pytest
 
 from experiments import rare
 from experiments.reporting.rare import ROADS, rare_figure
+from experiments.study.compute import batches
 from experiments.study.compute.rare import Batch
 from experiments.support.errors import UserError
 from experiments.support.files import read_json
@@ -23,7 +24,7 @@ OPTIONS = rare.Options(("slower",), "u-turn", rates="0.3,1", dose=0.3, episodes=
 
 @pytest.fixture(autouse=True)
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rare, "open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
+    monkeypatch.setattr(batches, "open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
     monkeypatch.setattr(rare, "BATCH", 40)
     monkeypatch.setattr(rare, "PILOT", 20)
     monkeypatch.setattr(rare, "check_dynamics", lambda _: None)
@@ -95,7 +96,7 @@ def test_a_batch_is_driven_by_what_it_was_named_by(tmp_path: Path) -> None:
     for action in ("1", "4"):
         (tmp_path / "weights.txt").write_text(action)
         asked = pickle.loads(pickle.dumps(rare.question(OPTIONS, f"{tmp_path}/mine.py:make")))
-        batch = Batch(asked, tmp_path, "curve", ((1.0, 1.0),), 3, 0)
+        batch = Batch(tmp_path, asked, "curve", ((1.0, 1.0),), 3, 0)
         names.add(batch.name)
         batch.compute(lambda _: None)
         seen.append(batch.file.read()["steps"].tolist())

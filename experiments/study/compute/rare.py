@@ -5,18 +5,16 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass, fields
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from agents.policies import Policy
 from experiments.backends import make_env
+from experiments.study.compute import batches
 from experiments.study.compute.entrants import Entrant
 from experiments.study.compute.run import Heartbeat
 from experiments.study.design.arms import stream_seed
-from experiments.study.results.part import PartFile
-from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.tasks import TASKS
 
 KINDS = ("cut_in", "brake", "surge")
@@ -96,34 +94,32 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Batch:
-    """Some episodes of each component (a `run.Task`).
+class Batch(batches.Batch):
+    """Some episodes of each component.
 
-    directory: of the results. part: "pilot" or "curve". rounds: episodes of each component. number: of the batch.
+    part: "pilot" or "curve". rounds: episodes of each component. number: of the batch.
     """
 
     question: Question
-    directory: Path
     part: str
     components: tuple[tuple[float, float], ...]
     rounds: int
     number: int
-    silence: float = 900.0
-
-    @cached_property
-    def name(self) -> str:
-        """It says what is computed."""
-        key = {**self.question.key, "components": self.components, "rounds": self.rounds}
-        return f"{self.part}-{self.number:04d}-{sha256_bytes(canonical_json(key).encode())[:12]}"
+    columns = COLUMNS
 
     @property
-    def folder(self) -> Path:
-        """Its working folder."""
-        return self.directory / "work" / self.name
+    def label(self) -> str:
+        """Part and number."""
+        return f"{self.part}-{self.number:04d}"
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """That of the question, and which episodes."""
+        return {**self.question.key, "components": self.components, "rounds": self.rounds}
 
     @cached_property
-    def episodes(self) -> list[tuple[float, float, int]]:
-        """Base, level and seed of each."""
+    def each(self) -> list[tuple[float, float, int]]:
+        """Base, level and seed of each episode."""
         asked, found = self.question, []
         for k in range(self.number * self.rounds, (self.number + 1) * self.rounds):
             for base, level in self.components:
@@ -132,22 +128,16 @@ class Batch:
         return found
 
     @property
-    def file(self) -> PartFile:
-        """Where they are stored."""
-        path = self.directory / "episodes" / f"{self.name}.parquet"
-        episodes = dict(zip(("base", "level", "seed"), zip(*self.episodes, strict=True), strict=True))
-        return PartFile(path, self.name, COLUMNS, episodes)
+    def episodes(self) -> dict[str, tuple[Any, ...]]:
+        """Their base, level and seed."""
+        return dict(zip(("base", "level", "seed"), zip(*self.each, strict=True), strict=True))
 
-    def done(self) -> bool:
-        """Whether they are stored; those of a damaged file are driven again."""
-        return self.file.done()
-
-    def compute(self, heartbeat: Heartbeat) -> None:
-        """Drive and store them."""
+    def drive(self, heartbeat: Heartbeat) -> pd.DataFrame:
+        """Drive them."""
         asked, rows = self.question, []
         with closing(make_env("sumo", asked.task, asked.config)) as env:
             seen, policy = asked.driver.make(env)
-            for done, episode in enumerate(self.episodes):
+            for done, episode in enumerate(self.each):
                 rows.append(asked.play(seen, policy, *episode))
-                heartbeat(done / len(self.episodes))
-        self.file.write(pd.DataFrame(rows))
+                heartbeat(done / len(self.each))
+        return pd.DataFrame(rows)

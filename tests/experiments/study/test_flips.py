@@ -43,7 +43,7 @@ def a_cell(folder: Path) -> tuple[Path, Read]:
 
 def a_batch(folder: Path) -> tuple[Path, Read]:
     asked = question(Options(("slower",), "u-turn"), "slower")
-    file = rare.Batch(asked, folder, "pilot", ((0.1, 0.1), (0.1, 1.0)), 10, 0).file
+    file = rare.Batch(folder, asked, "pilot", ((0.1, 0.1), (0.1, 1.0)), 10, 0).file
     file.write(made_up(rare.COLUMNS, dict(file.episodes)))
     return file.path, lambda: [file.read()]
 
@@ -91,7 +91,7 @@ def test_episodes_of_another_task_are_not_taken(tmp_path: Path) -> None:
     """Two policies have the same scenarios: a batch of one is none of the other, whatever its file is called."""
     slower, idle = (
         rare.Batch(
-            question(Options((policy,), "u-turn"), policy), tmp_path, "pilot", ((0.1, 0.1),), 5, 0
+            tmp_path, question(Options((policy,), "u-turn"), policy), "pilot", ((0.1, 0.1),), 5, 0
         ).file
         for policy in ("slower", "idle")
     )

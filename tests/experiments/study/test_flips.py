@@ -12,7 +12,8 @@ import pandas as pd
 import pytest
 
 from experiments.rare import Options, question
-from experiments.study.compute import rare
+from experiments.study.compute import rare, takeover
+from experiments.study.compute.entrants import entrant_of
 from experiments.study.results.parquet import Damaged
 from experiments.study.results.schema import EPISODES, GATES
 from experiments.study.results.store import Store
@@ -48,13 +49,21 @@ def a_batch(folder: Path) -> tuple[Path, Read]:
     return file.path, lambda: [file.read()]
 
 
+def moments(folder: Path) -> tuple[Path, Read]:
+    drivers = {name: entrant_of(policy, "u-turn", "3") for name, policy in (("a", "slower"), ("b", "sumo"))}
+    asked = takeover.Question("u-turn", "3", {}, "risky", drivers, takeover.BOUNDS, "")
+    file = takeover.Batch(folder, asked, 0, 0, 10).file
+    file.write(made_up(takeover.COLUMNS, dict(file.episodes)))
+    return file.path, lambda: [file.read()]
+
+
 def a_part(folder: Path) -> tuple[Path, Read]:
     file = episodes.Part(episodes.Engine("sumo", "sumo"), "u-turn", 1, "risky", range(5), folder).file
     file.write(made_up(episodes.COLUMNS, dict(file.episodes)))
     return file.path, lambda: [file.read()]
 
 
-@pytest.fixture(params=[a_cell, a_batch, a_part])
+@pytest.fixture(params=[a_cell, a_batch, moments, a_part])
 def stored(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Read]:
     return request.param(tmp_path)
 

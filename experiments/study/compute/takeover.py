@@ -1,0 +1,341 @@
+"""Two drivers from equal critical moments: who gets into danger, and who gets out of it (docs/takeover.md).
+
+One driver leads. After each of its steps a copy of the episode, which meets the same future, goes on with IDLE: target
+speed and lane stay as the leader left them. The moment is critical where that copy crashes within a bound, because then
+the driver has to act. From the leader's first critical moment every driver goes on in a copy of its own.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import pandas as pd
+
+from agents.rules import DRIVERS
+from experiments.backends import make_env
+from experiments.study.compute import batches
+from experiments.study.compute.entrants import Entrant
+from experiments.study.compute.evaluate import Drive
+from experiments.study.compute.run import Heartbeat
+from experiments.study.compute.wrappers import UnseenRisk
+from experiments.study.design.arms import stream_seed
+from experiments.study.design.levels import level_names
+from experiments.study.design.traffic import traffic_named
+from experiments.support.errors import UserError
+
+PAIR = ("a", "b")  # the two drivers that are compared, in the columns of the record
+OTHERS = ("planner", "sumo", "slower", "random")  # who may take over beside them
+COSTLY = ("planner",)  # who takes over from the first pair's moments alone
+BOUNDS = (3.0,)  # [s] within which IDLE crashes at a critical moment
+IDLE = "IDLE"
+WINDOW = 5.0  # [s] after the moment in which crashes count
+# Columns of the record, with their types: a row a pair, leader, scenario and bound.
+COLUMNS: dict[str, str] = {
+    **dict.fromkeys(("task", "level", "traffic"), "str"),
+    "pair": "int64",  # its number, from 0 on
+    "leader": "str",  # of PAIR
+    "scenario": "int64",  # number of the test scenario
+    "within": "float64",  # [s] the bound
+    "moment": "float64",  # [s] since the reset; missing where there is no critical moment
+    "speed": "float64",  # [m/s] at the moment
+    "km": "float64",  # that the leader drove, up to the moment or the end
+    "sudden": "bool",  # whether the leader crashed without a critical moment before
+    # [s] from the moment until each driver crashes: inf if it does not (OTHERS: in WINDOW), missing if it did not drive
+    **{f"crash_{name}": "float64" for name in (*PAIR, *OTHERS)},
+    "actions": "str",  # that the leader has taken before the moment, a digit each
+}
+Env = gym.Env[Any, Any]
+
+
+class Moment(NamedTuple):
+    """An episode up to a moment, from which drivers can go on.
+
+    env: stands there. past: results of the reset and of each step. actions: of the steps. km: driven.
+    """
+
+    env: Env
+    past: list[Any]
+    actions: list[int]
+    km: float
+
+
+class Seat(gym.Wrapper[Any, Any, Any, Any]):
+    """Shows its driver an episode, whoever drives it; the driver's own wrappers lie around it."""
+
+    given: Any = None  # the last result of the episode
+
+    def reset(self, **_: Any) -> Any:
+        """What the episode began with."""
+        return self.given
+
+    def step(self, action: Any) -> Any:
+        """What the step has brought."""
+        return self.given
+
+
+class Driver:
+    """An entrant, who is shown all of an episode in order, so that memory, clock and draws of its own go on.
+
+    Those of `agents.rules.DRIVERS` drive the environment that they were made for: they only take over, and are made
+    anew for the copy.
+
+    Raises:
+        UserError: it does not fit the environment.
+    """
+
+    def __init__(self, entrant: Entrant, env: Env) -> None:
+        self.leads = entrant.name not in DRIVERS
+        self._entrant = entrant
+        self._make(env)
+
+    def _make(self, env: Env) -> None:
+        self._seat = Seat(env)
+        self._seen, self._policy = self._entrant.make(self._seat)
+
+    def begin(self, env: Env, first: Any, seed: int) -> None:
+        """Be shown the first result of an episode. seed: of the driver's own draws."""
+        if not self.leads:
+            self._make(env)
+        self._seat.env, self._seat.given = env, first
+        self._policy.reset(seed)
+        self._observation, _ = self._seen.reset()
+
+    def act(self) -> int:
+        """The action for what it was shown last."""
+        return int(self._policy.act(self._observation))
+
+    def watch(self, action: int, result: Any) -> None:
+        """Be shown a step: the action that was driven, and its result."""
+        self._seat.given = result
+        self._observation = self._seen.step(action)[0]
+
+    def go_on(
+        self,
+        moment: Moment,
+        seed: int,
+        seconds: float = math.inf,
+        on_step: Callable[[], None] = lambda: None,
+    ) -> float:
+        """Take over at a moment, in its environment, for so many seconds or to the end.
+
+        Returns:
+            The time until it crashes [s], inf where it does not.
+        """
+        env, (first, *others) = moment.env, moment.past
+        if self.leads:
+            self.begin(env, first, seed)
+            for action, result in zip(moment.actions, others, strict=True):
+                self.act()  # which is not driven
+                self.watch(action, result)
+        else:
+            now = moment.past[-1]
+            self.begin(env, (now[0], now[-1]), seed)
+        for step in range(1, steps_in(env, seconds) + 1):
+            action = self.act()
+            result = env.step(action)
+            on_step()
+            if result[-1]["crashed"]:
+                return step / steps_in(env)
+            if result[2] or result[3]:
+                break
+            self.watch(action, result)
+        return math.inf
+
+
+def steps_in(env: Env, seconds: float = 1.0) -> int:
+    """Policy steps in so many seconds, at most in an episode's."""
+    config: Mapping[str, Any] = env.unwrapped.config  # type: ignore[attr-defined]
+    return round(min(seconds, config["duration"]) * config["policy_frequency"])
+
+
+def time_to_crash(env: Env, action: int, seconds: float) -> float:
+    """How long a copy that repeats an action drives until it crashes [s]; inf where it does not in so many seconds."""
+    with closing(copy.deepcopy(env)) as twin:
+        for step in range(1, steps_in(env, seconds) + 1):
+            _, _, terminated, truncated, info = twin.step(action)
+            if info["crashed"]:
+                return step / steps_in(env)
+            if terminated or truncated:
+                break
+    return math.inf
+
+
+class Led(NamedTuple):
+    """An episode that one driver has led, until there was a first critical moment for each bound, or to its end.
+
+    moments: by bound. km: driven. crashed: whether it ended so.
+    """
+
+    moments: dict[float, Moment]
+    km: float
+    crashed: bool
+
+
+def lead(env: Env, driver: Driver, reset: Mapping[str, Any], seed: int, bounds: Sequence[float]) -> Led:
+    """Drive an episode. reset: arguments of `env.reset`. seed: of the driver's own draws."""
+    inner: Any = env.unwrapped
+    [idle] = [number for number, name in inner.actions.items() if name == IDLE]
+    past: list[Any] = [env.reset(**reset)]
+    driver.begin(env, past[0], seed)
+    actions: list[int] = []
+    moments: dict[float, Moment] = {}
+    way, crashed, over = 0.0, False, False
+    while not over:
+        actions.append(driver.act())
+        past.append(env.step(actions[-1]))
+        driver.watch(actions[-1], past[-1])
+        _, _, terminated, truncated, info = past[-1]
+        way, crashed, over = way + info["distance"] / 1000.0, bool(info["crashed"]), terminated or truncated
+        if not over:
+            missing = [bound for bound in bounds if bound not in moments]
+            doom = time_to_crash(inner, idle, max(missing))
+            if found := [bound for bound in missing if doom <= bound]:
+                here = Moment(copy.deepcopy(inner), past.copy(), actions.copy(), way)
+                moments |= dict.fromkeys(found, here)
+                over = len(moments) == len(bounds)
+    return Led(moments, way, crashed)
+
+
+def compared(
+    env: Env,
+    drivers: Mapping[str, Driver],
+    leader: str,
+    reset: Mapping[str, Any],
+    seed: int,
+    bounds: Sequence[float] = BOUNDS,
+) -> Iterator[dict[str, Any]]:
+    """One episode, and how each driver goes on from its critical moments: a row for each bound [s], as of COLUMNS.
+
+    Args:
+        drivers: by their names in COLUMNS. leader: one of them.
+        reset: arguments of `env.reset`. seed: of all drivers' own draws.
+    """
+    led = lead(env, drivers[leader], reset, seed, bounds)
+    endings: dict[int, dict[str, float]] = {}  # bounds may have one moment
+    for bound in bounds:
+        row: dict[str, Any] = {"leader": leader, "within": bound}
+        if (moment := led.moments.get(bound)) is None:
+            yield {**row, "km": led.km, "sudden": led.crashed, "actions": ""}
+            continue
+        if id(moment) not in endings:
+            endings[id(moment)] = {
+                f"crash_{name}": in_a_copy(driver, moment, seed, math.inf if name in PAIR else WINDOW)
+                for name, driver in drivers.items()
+            }
+        yield {
+            **row,
+            **endings[id(moment)],
+            "moment": len(moment.actions) / steps_in(env),
+            "speed": moment.past[-1][-1]["speed"],
+            "km": moment.km,
+            "sudden": False,
+            "actions": "".join(map(str, moment.actions)),
+        }
+    for moment in led.moments.values():
+        moment.env.close()
+
+
+def in_a_copy(driver: Driver, moment: Moment, seed: int, seconds: float) -> float:
+    """`Driver.go_on` in a copy of the moment's environment."""
+    with closing(copy.deepcopy(moment.env)) as twin:
+        return driver.go_on(moment._replace(env=twin), seed, seconds)
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is driven, by whom.
+
+    config: of the environment, without the traffic. traffic: by its name in `traffic.ALL`. drivers: by their names in
+    COLUMNS, resolved. bounds: of critical moments [s]. dynamics: what the simulator does, see `fingerprint.dynamics`.
+    """
+
+    task: str
+    level: str
+    config: Mapping[str, Any]
+    traffic: str
+    drivers: Mapping[str, Entrant]
+    bounds: tuple[float, ...]
+    dynamics: str
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """All that decides the result, as plain values."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return values | {"drivers": {name: [one.name, one.digest] for name, one in self.drivers.items()}}
+
+    @property
+    def leaders(self) -> list[str]:
+        """Those of PAIR who can lead."""
+        return [name for name in PAIR if self.drivers[name].name not in DRIVERS]
+
+    def open(self, render_mode: str | None = None, **view: Any) -> Env:
+        """An environment of the task and traffic. Raises UserError where it has no action IDLE."""
+        env = make_env("sumo", self.task, {**self.config, **view}, render_mode)
+        inner: Any = env.unwrapped
+        if IDLE not in inner.actions.values():
+            raise UserError(
+                f"a moment is critical where {IDLE} crashes, which is no action of {self.task} here"
+            )
+        traffic = traffic_named(self.traffic)
+        return UnseenRisk(env, traffic) if traffic.is_unseen else env
+
+    def reset(self, scenario: int) -> dict[str, Any]:
+        """Arguments of the reset that begins a test scenario of the study."""
+        seed = Drive(self.task, level_names(self.task).index(self.level) + 1, self.traffic, scenario).seed
+        return {"seed": seed, "options": traffic_named(self.traffic).options(seed)}
+
+    def seed(self, scenario: int) -> int:
+        """Of the drivers' own draws: the same for all, so that a driver against itself differs in nothing."""
+        return stream_seed("takeover", self.task, self.level, self.traffic, scenario)
+
+
+@dataclass(frozen=True)
+class Batch(batches.Batch):
+    """Some scenarios, led by each of two drivers in turn. pair: their number. first, count: scenarios."""
+
+    question: Question
+    pair: int
+    first: int
+    count: int
+    columns = COLUMNS
+
+    @property
+    def label(self) -> str:
+        """Traffic, pair and first scenario."""
+        return f"{self.question.traffic}-{self.pair}-{self.first:04d}"
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """That of the question, and how many scenarios."""
+        return {**self.question.key, "count": self.count}
+
+    @property
+    def each(self) -> list[tuple[int, str]]:
+        """Scenario and leader of each episode."""
+        numbers = range(self.first, self.first + self.count)
+        return [(number, leader) for number in numbers for leader in self.question.leaders]
+
+    @property
+    def episodes(self) -> dict[str, list[Any]]:
+        """Scenario, leader and bound of each row."""
+        rows = [(*episode, bound) for episode in self.each for bound in self.question.bounds]
+        return {name: [row[k] for row in rows] for k, name in enumerate(("scenario", "leader", "within"))}
+
+    def drive(self, heartbeat: Heartbeat) -> pd.DataFrame:
+        """Drive them."""
+        asked, rows, each = self.question, [], self.each
+        about = {"task": asked.task, "level": asked.level, "traffic": asked.traffic, "pair": self.pair}
+        with closing(asked.open()) as env:
+            drivers = {name: Driver(entrant, env) for name, entrant in asked.drivers.items()}
+            for done, (scenario, leader) in enumerate(each):
+                reset, seed = asked.reset(scenario), asked.seed(scenario)
+                for row in compared(env, drivers, leader, reset, seed, asked.bounds):
+                    rows.append({**about, "scenario": scenario, **row})
+                heartbeat(done / len(each))
+        return pd.DataFrame(rows, columns=list(COLUMNS))

@@ -153,7 +153,7 @@ for id in sumo_env.IDS:
         ("import experiments.benchmark", {"torch", "matplotlib", "stable_baselines3"}),
         # --help and errors of the command line wait for it
         (
-            "from experiments import sweep, report, train, evaluate, rare, watch, replay, validate",
+            "from experiments import sweep, report, train, evaluate, rare, takeover, watch, replay, validate",
             {"torch", "stable_baselines3", "numba", "highway_env"},
         ),
     ],

@@ -81,6 +81,30 @@ def entrant_of(policy: str, task: str, level: str, part: str = "") -> Entrant:
     return found[task, level]
 
 
+def several(policies: str, task: str, level: str) -> list[Entrant]:
+    """Drivers with commas between, each as of `entrant_of`; DIR/PART is all agents of a setting, by training seed.
+
+    Raises:
+        UserError: as `entrant_of`.
+    """
+    found = []
+    for policy in policies.split(","):
+        directory, part = (path := Path(policy)).parent, path.name
+        if path.exists() or not any((directory / name).is_dir() for name in ("cells", "parts")):
+            found.append(entrant_of(policy, task, level))
+            continue
+        keys = {name: record["key"] for name, record in Store(directory).agents().items() if part in name}
+        own = {
+            name: key["seed"]
+            for name, key in keys.items()
+            if (key["task"], key["level_name"]) == (task, level)
+        }
+        if not own:
+            raise UserError(f"no agent of {task} {level} in {directory} has {part!r} in its name")
+        found += [entrant_of(str(directory), task, level, name) for name in sorted(own, key=own.__getitem__)]
+    return found
+
+
 def entrants(policy: str, places: Iterable[Place], part: str = "") -> dict[Place, Entrant]:
     """Who drives at each of these tasks and levels, as `entrant_of`; tasks that no agent was trained in are not there.
 

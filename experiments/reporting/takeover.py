@@ -1,0 +1,80 @@
+"""Who gets into danger, and who gets out of it: the table and the figure of `experiments/takeover.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pandas as pd
+from matplotlib.lines import Line2D
+
+from experiments.analysis.takeover import CAUTION, SKILL
+from experiments.reporting.figures import CONTROL, INK, MUTED, PAPER, TREATMENT, new_figure, styled, to_svg
+from experiments.reporting.tables import MINUS, p_value, plain
+from experiments.study.compute.takeover import PAIR
+
+COLOURS = dict(zip(PAIR, (CONTROL, TREATMENT), strict=True))
+SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]
+
+
+def question_in_words(question: str, names: Mapping[str, str]) -> str:
+    """A question of `analysis.takeover.answers` with the drivers' names. names: of "a" and "b"."""
+    head, comma, tail = question.partition(", ")
+    leader, _, leads = tail.partition(" ")
+    return f"{head}{comma}{names.get(leader, leader)}{f' {leads}' if leads else ''}"
+
+
+def table(answers: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
+    """The answers as people read them: shares in per cent, differences in points with their 95 % intervals."""
+    rows = []
+    for row in answers.to_dict("records"):
+        scale, digits = (1.0, 2) if row["question"].endswith("per km") else (100.0, 1)
+        low, high = (plain(scale * row[end], digits, signed=True) for end in ("low", "high"))
+        difference = plain(scale * row["estimate"], digits, signed=True)
+        rows.append({
+            "question": question_in_words(row["question"], names),
+            **{names[of]: plain(scale * row[of], digits) for of in PAIR},
+            "difference": difference if row["low"] != row["low"] else f"{difference} [{low}, {high}]",
+            "p": p_value(row["p"]) if row["status"] == "ok" else row["status"],
+            "of": row["count"],
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+@styled
+def takeover_figure(answers: pd.DataFrame, rates: pd.DataFrame, names: Mapping[str, str], title: str) -> str:
+    """Differences with their intervals on the left; on the right who crashes from whose moments; a row a traffic.
+
+    answers, rates: of `analysis.takeover`, with a column traffic.
+    """
+    traffics = list(dict.fromkeys(answers["traffic"]))
+    figure, axes = new_figure(len(traffics), 2, 0.7 + 1.5 * len(traffics), sharex="col")
+    drivers = list(dict.fromkeys(rates["driver"])) if len(rates) else []
+    for (left, right), traffic in zip(axes, traffics, strict=True):
+        own = answers[(answers["traffic"] == traffic) & answers["question"].isin(SHOWN)]
+        left.axvline(0, color=INK, lw=0.8)
+        for number, row in enumerate(own.itertuples()):
+            ends = [max(100 * row.low, -100), min(100 * row.high, 100)]
+            left.plot(ends, [-number, -number], color=INK, lw=1.4)
+            left.plot(100 * row.estimate, -number, "o", color=INK, mfc=INK if row.status == "ok" else PAPER)
+        left.set_yticks(
+            [-y for y in range(len(own))], [question_in_words(name, names) for name in own["question"]]
+        )
+        left.set_title(f"{traffic} traffic")
+        for row in rates[rates["traffic"] == traffic].itertuples() if len(rates) else ():
+            y = -drivers.index(row.driver) + (0.12 if row.leader == PAIR[0] else -0.12)
+            right.plot([100 * row.low, 100 * row.high], [y, y], color=COLOURS[row.leader], lw=1.2)
+            right.plot(100 * row.crashed, y, "o", color=COLOURS[row.leader])
+        right.set_yticks([-y for y in range(len(drivers))], [names.get(name, name) for name in drivers])
+        for panel in (left, right):
+            panel.grid(axis="y", visible=False)
+    axes[-1][0].set_xlabel(f"{names['b']} {MINUS} {names['a']} [points]")
+    axes[-1][1].set_xlabel("crashes from the moments [%]")
+    handles = [
+        Line2D([], [], color=COLOURS[leader], marker="o", label=f"moments of {names[leader]}")
+        for leader in PAIR
+    ]
+    handles.append(
+        Line2D([], [], color=MUTED, mec=INK, mfc=PAPER, marker="o", ls="", label="nothing claimed")
+    )
+    figure.legend(handles=handles, loc="outside upper right", ncols=3, title=title)
+    return to_svg(figure, "takeover", f"Who gets into danger, and who gets out of it: {title}")

@@ -1,0 +1,213 @@
+"""Say which of two drivers gets into danger less often, and which one gets out of it: caution and skill.
+
+    python experiments/takeover.py u-turn-3/control u-turn-3/treatment --task u-turn
+    python experiments/takeover.py my_policy.py:make sumo --task highway --traffics risky    # SUMO's driver takes over
+    python experiments/takeover.py results/mine/control results/mine/treatment --task roundabout   # all pairs in there
+
+A crash rate mixes both: who keeps out of danger needs no skill. Here one driver leads until its first critical moment:
+a copy of the episode that goes on with IDLE (target speed and lane stay) crashes within 3 s, so that the driver has to
+act. From there both go on, each in a copy of its own: equal moments, equal speeds, the same future. Caution is how
+often a leader gets into such moments; skill is who crashes within 5 s from them, the moments of both leaders counted.
+
+A and B may be any policies of evaluate.py with the same observations and actions, IDLE among them. Several are named
+with commas between, or as DIR/PART: the agents in a directory of results with PART in their names, by training seed;
+A's first and B's first are a pair, and the interval is over pairs. With one pair it is over scenarios: it says
+something of these two drivers, nothing of how they were trained. planner, clairvoyant and sumo only take over.
+
+Writes takeover.json, takeover.csv, takeover.svg, moments.parquet (a row a pair, leader and scenario), and takeover.gif:
+one moment with both endings. The same command run again goes on where it was stopped. docs/takeover.md explains all of
+it.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+    import experiments.support.needs  # noqa: F401  (says what has to be installed)
+
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import pandas as pd
+import tyro
+
+from experiments.analysis import takeover as analysis
+from experiments.reporting.tables import chosen
+from experiments.reporting.takeover import table, takeover_figure
+from experiments.study.compute.batches import driven
+from experiments.study.compute.entrants import entrant_of, several
+from experiments.study.compute.executors import EXECUTORS
+from experiments.study.compute.takeover import BOUNDS, COLUMNS, COSTLY, OTHERS, PAIR, WINDOW, Batch, Question
+from experiments.study.design.fingerprint import check_dynamics, dynamics
+from experiments.study.design.levels import level_names
+from experiments.study.design.traffic import ALL, TRAFFICS
+from experiments.study.replaying.takeover import films, most_telling
+from experiments.study.results.part import PartFile
+from experiments.support.arguments import command
+from experiments.support.errors import UserError, check_known, writing
+from experiments.support.files import plain_json, write_file, write_json
+from experiments.support.films import save_film, side_by_side
+from experiments.support.provenance import provenance
+from sumo_env.tasks import TASKS
+
+BATCH = 10  # scenarios
+AT = ["traffic", "within"]
+WHEN = {"in_time": f"within {WINDOW:g} s", "later": "later", "sudden": "suddenly"}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Say which of two drivers gets into danger less often, and which one gets out of it."""
+
+    a: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="A")]
+    """A published agent (control, u-turn-3/control-s301), a zip file of Stable-Baselines3, FILE:MAKE, a directory of
+    results or a driver of fixed rules (careful-4, idm, slower); several with commas between, or DIR/PART."""
+    b: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="B")]
+    """The same; of as many policies as A."""
+    task: str
+    """Task that is driven."""
+    level: str = ""
+    """Its traffic level by name; by default the lightest."""
+    traffics: tuple[str, ...] = TRAFFICS
+    """Traffics by name (docs/traffic-and-risk.md), each answered by itself."""
+    scenarios: int = 50
+    """Test scenarios in each traffic, the first ones of the study's."""
+    within: tuple[float, ...] = BOUNDS
+    """A moment is critical where IDLE crashes within so many seconds; several are answered one after the other."""
+    others: tuple[str, ...] = ("sumo", "slower", "random")
+    """Who takes over from the same moments beside A and B: sumo, slower, random, planner (slow: first pair alone)."""
+    executor: str = "local"
+    """Where episodes are driven: local (processes of this machine), ray or slurm (docs/clusters.md)."""
+    workers: int | None = None
+    """Batches at a time; by default one for each core."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/takeover")
+    """Directory for the results, whose answers are written anew."""
+
+
+def called(options: Options) -> dict[str, str]:
+    """What the two are called in tables, by their names in the record."""
+    a, b = (Path(policies.partition(",")[0]).name for policies in (options.a, options.b))
+    return dict(zip(PAIR, (a, b) if a != b else (f"{a} (A)", f"{b} (B)"), strict=True))
+
+
+def check(options: Options) -> None:
+    """Raise UserError for what does not exist or makes no sense."""
+    check_known("task", [options.task], TASKS)
+    check_known("level", [options.level or level_names(options.task)[0]], level_names(options.task))
+    check_known("traffic", options.traffics, ALL)
+    check_known("driver of --others", options.others, OTHERS)
+    check_known("executor", [options.executor], EXECUTORS)
+    for name, is_right, least in (
+        ("scenarios", options.scenarios > 0, "above 0"),
+        ("traffics", len({*options.traffics}) == len(options.traffics) > 0, "one or more, each once"),
+        ("within", len({*options.within}) == len(options.within) > 0, "one or more bounds, each once"),
+        ("within", min(options.within, default=0.0) > 0.0, "seconds above 0"),
+        ("workers", options.workers is None or options.workers > 0, "above 0"),
+    ):
+        if not is_right:
+            raise UserError(f"--{name} is {least}, not {getattr(options, name)}")
+
+
+def questions(options: Options) -> list[list[Question]]:
+    """By pair and traffic what the options ask. Raises UserError where it cannot be asked, before all driving."""
+    check(options)
+    level = options.level or level_names(options.task)[0]
+    a, b = (several(policies, options.task, level) for policies in (options.a, options.b))
+    if len(a) != len(b):
+        raise UserError(
+            f"the first of A and the first of B are a pair: name as many of both, not {len(a)} and {len(b)}"
+        )
+    what = options.task, level, TASKS[options.task].levels[level]
+    does, found = dynamics("sumo", options.task), list[list[Question]]()
+    for pair in zip(a, b, strict=True):
+        others = (name for name in options.others if not found or name not in COSTLY)
+        drivers = dict(zip(PAIR, pair, strict=True)) | {
+            name: entrant_of(name, options.task, level) for name in others
+        }
+        first = Question(*what, options.traffics[0], drivers, options.within, does)
+        if not first.leaders:
+            raise UserError(f"{pair[0].name} and {pair[1].name} only take over: one of the two has to lead")
+        with closing(first.open()) as env:
+            first = replace(first, drivers={name: one.resolved(env) for name, one in drivers.items()})
+        found.append([replace(first, traffic=traffic) for traffic in options.traffics])
+    check_dynamics([("sumo", options.task)])
+    return found
+
+
+def drive(options: Options, asked: Sequence[Sequence[Question]]) -> pd.DataFrame:
+    """The record, what was driven before included."""
+    starts = range(0, options.scenarios, BATCH)
+    batches = [
+        Batch(options.out, question, pair, first, min(BATCH, options.scenarios - first))
+        for pair, own in enumerate(asked)
+        for question in own
+        for first in starts
+    ]
+    return driven(batches, options.executor, options.workers, "batches")
+
+
+def each(rows: pd.DataFrame, of: Callable[[pd.DataFrame], pd.DataFrame]) -> pd.DataFrame:
+    """An analysis of every traffic and bound by itself, with the columns traffic and within."""
+    found = {at: of(part) for at, part in rows.groupby(AT, sort=False)}
+    return pd.concat(found, names=AT).reset_index(level=AT).reset_index(drop=True)
+
+
+def film(
+    options: Options, asked: Sequence[Sequence[Question]], rows: pd.DataFrame, names: Mapping[str, str]
+) -> str:
+    """Write the film of one moment in the last traffic; returns what it shows, in words."""
+    row = most_telling(chosen(rows, traffic=options.traffics[-1], within=options.within[0]))
+    if row is None:
+        return "no film: there is no critical moment"
+    both = films(asked[row["pair"]][-1], row, names)
+    caption = [
+        f"{names[row['leader']]} leads for {row['moment']:g} s. With IDLE it would crash within {row['within']:g} s.",
+        f"Scenario {row['scenario']} in {row['traffic']} traffic, {row['task']} {row['level']}.",
+    ]
+    save_film(side_by_side(both, caption=caption), options.out / "takeover.gif")
+    return f"takeover.gif, scenario {row['scenario']}: {'; '.join(title for title, _ in both)}"
+
+
+def takeover(options: Options, arguments: Sequence[str]) -> int:
+    """Do what the options ask for; returns the exit status."""
+    asked, names = questions(options), called(options)
+    with writing(options.out):
+        rows = drive(options, asked)
+        PartFile(options.out / "moments.parquet", "moments", COLUMNS, {}).write(rows)
+        frames = {"answers": each(rows, analysis.answers), "rates": each(rows, analysis.rates)}
+        frames["own_crashes"] = each(rows, analysis.own_crashes)
+        by_question = frames["answers"].groupby(AT, sort=False)
+        said = {at: analysis.claims(own, [*names.values()]) for at, own in by_question}
+        found = {
+            "command": shlex.join(["python", "experiments/takeover.py", *arguments]),
+            "scenarios": options.scenarios,
+            "questions": [question.key for own in asked for question in own],
+            "claims": [dict(zip(AT, at, strict=True)) | claims for at, claims in said.items()],
+            **{name: frame.to_dict("records") for name, frame in frames.items()},
+            "provenance": provenance(),
+        }
+        write_json(options.out / "takeover.json", plain_json(found))
+        write_file(options.out / "takeover.csv", frames["answers"].to_csv(index=False).encode())
+        first, rates = (chosen(frames[name], within=options.within[0]) for name in ("answers", "rates"))
+        figure = takeover_figure(first, rates, names, f"{options.task} {asked[0][0].level}")
+        write_file(options.out / "takeover.svg", figure.encode())
+        filmed = film(options, asked, rows, names)
+    for at, own in by_question:
+        print(f"\n{at[0]} traffic, IDLE crashes within {at[1]:g} s: ", end="")
+        print("; ".join(f"{question}: {claim}" for question, claim in said[at].items()))
+        print(table(own, names).to_string(index=False))
+        for row in chosen(frames["own_crashes"], traffic=at[0], within=at[1]).to_dict("records"):
+            shares = ", ".join(f"{word} {row[name]:.0%}" for name, word in WHEN.items() if row["crashes"])
+            print(f"{row['crashes']} crashes of {names[row['leader']]}, leading{': ' * bool(shares)}{shares}")
+    print(f"{filmed}\nwritten: {options.out / 'takeover.json'}, .csv, .svg and moments.parquet")
+    return 0
+
+
+if __name__ == "__main__":
+    command(lambda options: takeover(options, sys.argv[1:]), Options, __doc__, resumes=True)

@@ -1,0 +1,114 @@
+"""The command that compares two drivers from equal critical moments."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pandas as pd
+import pytest
+from PIL import Image
+
+from experiments import takeover
+from experiments.study.compute import batches
+from experiments.study.compute.entrants import several
+from experiments.study.compute.takeover import COLUMNS
+from experiments.support.errors import UserError
+from experiments.support.files import read_json
+
+OPTIONS = takeover.Options("faster", "careful", "u-turn", traffics=("risky",), scenarios=6)
+MAKE = """
+def make(env):
+    raise ValueError("trained for pictures")
+"""
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batches, "open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
+    monkeypatch.setattr(takeover, "BATCH", 4)
+    monkeypatch.setattr(takeover, "check_dynamics", lambda _: None)
+
+
+@pytest.mark.slow
+def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_path: Path, capsys) -> None:
+    options = replace(OPTIONS, out=tmp_path)
+    assert takeover.takeover(options, ["faster", "careful"]) == 0
+    said, files = capsys.readouterr().out, {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
+    assert len(files) == 2 and "skill, faster leads" in said and "crashes of careful, leading" in said
+    rows = pd.read_parquet(tmp_path / "moments.parquet")
+    assert list(rows) == list(COLUMNS) and len(rows) == 12
+    found = read_json(tmp_path / "takeover.json")
+    answers = {row["question"]: row for row in found["answers"]}
+    danger = (rows["moment"].notna() | rows["sudden"]).groupby(rows["leader"]).mean()
+    assert [answers["caution"][name] for name in "ab"] == [danger["a"], danger["b"]]
+    assert answers["skill"]["status"] == "too few" and found["claims"][0]["skill"] == "too few"
+    assert pd.read_csv(tmp_path / "takeover.csv")["question"].tolist() == [*answers]
+    assert "<svg" in (tmp_path / "takeover.svg").read_text()
+    with Image.open(tmp_path / "takeover.gif") as film:
+        assert film.n_frames > 10
+    next(iter(files)).write_bytes(b"damaged")
+    assert takeover.takeover(options, ["faster", "careful"]) == 0
+    assert read_json(tmp_path / "takeover.json")["answers"] == found["answers"]
+    again = {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
+    assert again.keys() == files.keys() and sum(again[path] != files[path] for path in files) == 1
+
+
+@pytest.mark.slow
+def test_a_driver_against_itself_makes_no_difference(tmp_path: Path, capsys) -> None:
+    options = replace(OPTIONS, a="random", b="random", scenarios=4, others=("random",), out=tmp_path)
+    assert takeover.takeover(options, []) == 0
+    assert "caution: no difference; skill: too few" in capsys.readouterr().out
+    found = read_json(tmp_path / "takeover.json")
+    assert {row["estimate"] for row in found["answers"]} == {0.0}
+    rates = pd.DataFrame(found["rates"]).groupby("leader")["crashed"]
+    assert (rates.nunique() == 1).all()  # beside the two, too
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        ({"task": "u-turm"}, "u-turn"),
+        ({"level": "4"}, "level"),
+        ({"traffics": ("risk",)}, "risky"),
+        ({"others": ("careful",)}, "others"),
+        ({"scenarios": 0}, "--scenarios is above 0"),
+        ({"within": ()}, "--within is"),
+        ({"workers": 0}, "--workers is"),
+        ({"a": "slower,idle"}, "as many of both, not 2 and 1"),
+        ({"a": "planner", "b": "sumo"}, "one of the two has to lead"),
+        ({"b": "mine.py:make"}, "mine.py:make cannot make a policy: ValueError: trained for pictures"),
+        ({"b": "highway-50/control"}, "trained for u-turn"),
+        ({"b": "none/control"}, "unknown policy"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_what_cannot_be_compared_is_refused_in_a_sentence(
+    wrong: dict[str, Any], word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(MAKE)
+    with pytest.raises(UserError, match=word) as error:
+        takeover.takeover(replace(OPTIONS, **wrong), [])
+    assert "\n" not in str(error.value)
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
+
+
+def test_agents_of_a_directory_are_paired_by_training_seed(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "cells").mkdir()
+    key = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
+    records = {
+        f"{arm}-s{seed}": {"key": {**key, "seed": seed}, "timing": {"finished": str(seed)}}
+        for arm in ("control", "treatment")
+        for seed in (11, 9)
+    }
+    records["control-s1"] = {"key": {**key, "level_name": "12", "seed": 1}, "timing": {"finished": "1"}}
+    store = SimpleNamespace(agents=lambda: records, records=lambda: records, weights=lambda name: tmp_path)
+    monkeypatch.setattr("experiments.study.compute.entrants.Store", lambda _: store)
+    found = several(f"idle,{tmp_path}/control", "u-turn", "3")
+    assert [one.name for one in found] == ["idle", "control-s9", "control-s11"]
+    with pytest.raises(UserError, match="no agent of u-turn 3"):
+        several(f"{tmp_path}/mixed", "u-turn", "3")

@@ -6,16 +6,19 @@ without each task in turn, because one task can make it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 import pandas as pd
 
 from experiments.analysis.effects import COMPARISON, ESTIMATE, MEANS, contrasts, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Outcome, Plan
-from experiments.analysis.scores import arms_of
+from experiments.analysis.scores import arms_of, per_metre
 from experiments.study.design.arms import ARMS
 from experiments.study.results.loaded import AGENT
 
 HARD = 10.0  # closing speed from which a crash is hard [m/s]
+CLOSE = 1.0  # time to collision below which an episode was dangerous [s]
 
 
 def _hard(episodes: pd.DataFrame) -> pd.Series:
@@ -29,6 +32,16 @@ def _entered(episodes: pd.DataFrame) -> pd.Series:
     return (episodes["distance"] >= way).astype(float).where(way.notna())
 
 
+def _near_misses(episodes: pd.DataFrame) -> pd.Series:
+    """Near misses per kilometre, see `scores.per_metre`."""
+    return per_metre(episodes, "near_misses", ["cell", "traffic"]) * 1e3
+
+
+def _close(episodes: pd.DataFrame) -> pd.Series:
+    """Whether the time to collision is ever below CLOSE."""
+    return (episodes["min_ttc"] < CLOSE).astype(float)
+
+
 # Of the columns those that the plans do not know; they are exploratory.
 OWN = {
     "hard_crash": Outcome(f"at {HARD:.0f} m/s or more", "[%]", -1, 1, percent=True, poolable=True, of=_hard),
@@ -40,14 +53,21 @@ COLUMNS: dict[str, Outcome] = {
     **{name: OUTCOMES[name] for name in ("mean_speed", "return")},
     "entered": OWN["entered"],
 }
+# Danger without a crash: exploratory, and in no column of the report.
+SURROGATES: dict[str, Outcome] = {
+    "near_misses_per_km": Outcome("near misses per km", "", -1, 1, of=_near_misses),
+    "close": Outcome(f"below {CLOSE:.0f} s", "[%]", -1, 0, percent=True, poolable=True, of=_close),
+}
 ROW = [*COMPARISON, "tested_on", "scope", "outcome", "traffic", *ESTIMATE, *MEANS, "settings"]
 
 
-def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
-    """Differences between treatment and control in all COLUMNS, task by task.
+def by_task(
+    episodes: pd.DataFrame, plan: Plan = DEFAULT, outcomes: Mapping[str, Outcome] = COLUMNS
+) -> pd.DataFrame:
+    """Differences between treatment and control in all outcomes, task by task.
 
     Args:
-        episodes: as from `scores.with_outcomes`, with the columns of OWN. plan: whose settings are averaged.
+        episodes: as from `scores.with_outcomes`, with these outcomes. plan: whose settings are averaged.
 
     Returns:
         A row a COMPARISON, scope (a task, "all tasks", "without TASK"; the last two for outcomes that mean the same on
@@ -59,16 +79,17 @@ def by_task(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     tests = rows[rows["kind"] == "test"].merge(agents[AGENT].drop_duplicates())
     found = []
     for simulator, here in pd.concat([agents, tests]).groupby("tested_on", sort=False):
-        effects = pd.concat([_effects(own, str(name)) for name, own in here.groupby("traffic", sort=False)])
-        poolable = effects[effects["outcome"].isin([name for name, one in COLUMNS.items() if one.poolable])]
-        both = [means(effects, plan, outcomes=COLUMNS), means(poolable, plan, True, COLUMNS)]
+        traffics = here.groupby("traffic", sort=False)
+        effects = pd.concat([_effects(own, str(name), outcomes) for name, own in traffics])
+        poolable = effects[effects["outcome"].isin([name for name, one in outcomes.items() if one.poolable])]
+        both = [means(effects, plan, outcomes=outcomes), means(poolable, plan, True, outcomes)]
         found += [frame.assign(tested_on=simulator) for frame in both]
     if not found:
         return pd.DataFrame(columns=ROW)
     return pd.concat(found, ignore_index=True).rename(columns={"term": "traffic"})[ROW]
 
 
-def _effects(rows: pd.DataFrame, traffic: str) -> pd.DataFrame:
-    """Treatment minus control in all COLUMNS, in every setting and in this traffic, which all rows are of."""
-    asked = {("treatment", "control"): [(outcome, traffic) for outcome in COLUMNS]}
-    return contrasts(arms_of(rows, COLUMNS, (traffic,)), asked, terms={traffic: (1.0,)})
+def _effects(rows: pd.DataFrame, traffic: str, outcomes: Iterable[str]) -> pd.DataFrame:
+    """Treatment minus control in all outcomes, in every setting and in this traffic, which all rows are of."""
+    asked = {("treatment", "control"): [(outcome, traffic) for outcome in outcomes]}
+    return contrasts(arms_of(rows, outcomes, (traffic,)), asked, terms={traffic: (1.0,)})

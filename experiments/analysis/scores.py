@@ -53,15 +53,19 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
 
 
 def crashes_per_100_km(episodes: pd.DataFrame, by: Sequence[str]) -> pd.Series:
-    """The ratio of sums in each group of `by`, linearised: its mean over a group's episodes is the ratio, and their
-    spread gives its standard error. 0 where nobody moves.
+    """`per_metre` of the crashes, in its usual unit."""
+    return per_metre(episodes, "crashed", by) * 1e5
+
+
+def per_metre(episodes: pd.DataFrame, count: str, by: Sequence[str]) -> pd.Series:
+    """The ratio of sums of a column and the distance in each group of `by`, linearised: its mean over a group's
+    episodes is the ratio [1/m], and their spread gives its standard error. 0 where nobody moves.
     """
-    crashed = episodes["crashed"].astype(float)
-    grouped = episodes.assign(crashed=crashed).groupby([*by], sort=False)
-    way, crashes = grouped["distance"].transform("mean"), grouped["crashed"].transform("mean")
-    rate = crashes / way
-    per_metre = rate + (crashed - rate * episodes["distance"]) / way
-    return per_metre.where(way > 0, 0.0) * 1e5
+    counted = episodes[count].astype(float)
+    grouped = episodes.assign(counted=counted).groupby([*by], sort=False)
+    way, number = grouped["distance"].transform("mean"), grouped["counted"].transform("mean")
+    rate = number / way
+    return (rate + (counted - rate * episodes["distance"]) / way).where(way > 0, 0.0)
 
 
 def at_home(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.analysis import Analysis
-from experiments.analysis.by_task import OWN
+from experiments.analysis.by_task import OWN, SURROGATES
 from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES, Outcome
@@ -26,7 +26,7 @@ NONE = "\N{EN DASH}"  # where there is no number
 BACKENDS = {"sumo": "SUMO", "replica": "highway-env's physics (replica)", "highway-env": "highway-env"}
 TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}
 ARM_NAMES = {"treatment": "treated"}  # as the pages call the agents of an arm
-KINDS = OUTCOMES | OWN
+KINDS = OUTCOMES | OWN | SURROGATES
 
 
 def plain(value: float | None, digits: int, signed: bool = False) -> str:

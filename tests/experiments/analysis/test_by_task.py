@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
-from experiments.analysis.by_task import COLUMNS, by_task
+from experiments.analysis.by_task import COLUMNS, SURROGATES, by_task
 from experiments.analysis.effects import ESTIMATE, MEANS, contrasts, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT
@@ -35,7 +35,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 @pytest.fixture(scope="module")
 def episodes(results: Results) -> pd.DataFrame:
     """With a traffic that nobody was trained in, in which every second crash of risky traffic does not happen."""
-    found = with_outcomes(results, COLUMNS)
+    found = with_outcomes(results, {**COLUMNS, **SURROGATES})
     unseen = found[(found["kind"] == "agent") & (found["traffic"] == "risky")]
     unseen = unseen.assign(kind="test", traffic="only-parameters")
     for name in ("crashed", "hard_crash"):
@@ -96,6 +96,22 @@ def test_it_has_the_intervals_of_the_effects(
                 same[f"{column} then"].astype(float).tolist(), nan_ok=True
             )
     assert len(analysis.by_task) == (table["traffic"] != "only-parameters").sum()
+
+
+def test_near_misses_per_km_are_ratios_of_sums_of_each_agent(episodes: pd.DataFrame) -> None:
+    found = by_task(episodes, outcomes=SURROGATES).query("tested_on == 'sumo' and scope == 'roundabout'")
+    for row in found.query("outcome == 'near_misses_per_km'").to_dict("records"):
+        there = episodes[(episodes["task"] == "roundabout") & (episodes["tested_on"] == "sumo")]
+        there = there[there["traffic"] == row["traffic"]]
+        for arm, side in (("control", "mean_against"), ("treatment", "mean_arm")):
+            sums = there[there["arm"] == arm].groupby(["level", "seed"])[["near_misses", "distance"]].sum()
+            assert row[side] == pytest.approx(1e3 * (sums["near_misses"] / sums["distance"]).mean())
+    assert len(found) == 2 * 3  # traffics
+
+
+def test_an_episode_is_close_below_one_second() -> None:
+    of = SURROGATES["close"].of
+    assert of and of(pd.DataFrame({"min_ttc": [0.0, 0.99, 1.0, float("inf")]})).tolist() == [1, 1, 0, 0]
 
 
 def test_a_share_of_almost_no_crashes_has_an_interval(episodes: pd.DataFrame) -> None:

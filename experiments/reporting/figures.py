@@ -36,6 +36,18 @@ CONTROL, TREATMENT, CAREFUL = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito: 
 COLOURS = {"control": CONTROL, "mixed": "#cc79a7", "treatment": TREATMENT}  # by arm, in the order of the risk
 VARIABLES = {INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper"}
 VARIABLES |= {CONTROL: "control", TREATMENT: "treatment", CAREFUL: "careful"}
+# Where colours tell tasks apart instead, an arm is hollow (control) or filled (treatment).
+TASKS = {
+    "highway": "#3f6fae",
+    "two-way": "#d0435e",
+    "roundabout": "#228833",
+    "intersection": "#8a3a8f",
+    "u-turn": "#a87400",
+}
+VARIABLES |= {colour: task for task, colour in TASKS.items()}
+# The variables of a figure that stands alone, in a dark scheme.
+DARK = {"ink": "#e6e9ed", "muted": "#98a2b0", "grid": "#343b45", "paper": "#14171b"}
+DARK |= dict(zip(TASKS, ("#7fb0f0", "#ff8095", "#5fcf7a", "#d58ae0", "#e8b440"), strict=True))
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,
     "axes.titlesize": 9, "axes.titleweight": "bold", "axes.labelsize": 8.5,
@@ -79,6 +91,14 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
         text = re.sub(colour, f"var(--{variable}, {colour})", text, flags=re.IGNORECASE)
     label = html.escape(description, quote=True)
     return text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+
+
+def alone(svg: str) -> str:
+    """A figure as a file of its own: with a background and with the colours of a light and of a dark scheme."""
+    light = {name: colour for colour, name in VARIABLES.items() if name in DARK}
+    schemes = [":root {" + "".join(f"--{name}: {one[name]};" for name in DARK) + "}" for one in (light, DARK)]
+    style = f"{schemes[0]} @media (prefers-color-scheme: dark) {{ {schemes[1]} }} svg {{ background: var(--paper) }}"
+    return svg.replace(">", f"><style>{style}</style>", 1) + "\n"
 
 
 def _share(axes: Axes) -> None:
@@ -188,6 +208,61 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
     figure.supxlabel("progress: distance covered, over the time limit of the episode [m/s]", fontsize=8.5)
     _legend(figure, arms, shown, ls="")
     return to_svg(figure, f"{backend}-progress", "Crash rate against progress, by task and policy")
+
+
+LARGER: Any = {"font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "xtick.labelsize": 10}
+LARGER |= {"ytick.labelsize": 10, "legend.fontsize": 10}
+BESIDE = {"sumo": "SUMO's driver", "planner": "planner", "slower": "always SLOWER"}  # agents, and their names
+# Where the name of a task stands beside its control agents [points], and its alignment.
+NAMES = {"roundabout": (9, 1, "left"), "two-way": (7, 3, "left"), "u-turn": (-4, 9, "right")}
+
+
+@styled
+def crashes_against_speed(drivers: pd.DataFrame) -> str:
+    """Crash rate against speed, an arrow from control to treated agents for each task, one panel for each traffic.
+
+    drivers: of `analysis.drivers`, one setting of each task, with the policies of BESIDE that there are.
+    """
+    with matplotlib.rc_context(LARGER):  # so that it can be read on a telephone
+        figure = Figure(figsize=(6.5, 4.6), layout="constrained")
+        panels = figure.subplots(1, len(TRAFFICS), sharex=True, sharey=True)
+        for panel, traffic in zip(panels, TRAFFICS, strict=True):
+            for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
+                _task(panel, str(task), own.set_index("driver"))
+            panel.set(title=f"in {traffic} traffic", xlim=(0, 33), xticks=[0, 10, 20, 30])
+            _share(panel)
+        panels[0].set_ylabel("episodes with a crash")
+        figure.supxlabel("mean speed [m/s]", fontsize=11)
+        marks = [("control agents", "o", PAPER), ("treated agents", "o", INK)]
+        marks += [(words, MARKS[name], "none") for name, words in BESIDE.items()]
+        handles = [Line2D([], [], color=INK, ls="", marker=m, mfc=c, label=words) for words, m, c in marks]
+        figure.legend(handles=handles, loc="outside upper center", ncols=3, handletextpad=0.1)
+        return to_svg(figure, "speed", "Crash rate against speed, from control to treated agents, by task")
+
+
+def _task(panel: Axes, task: str, drivers: pd.DataFrame) -> None:
+    """The drivers of a task in one traffic, by name."""
+    colour = TASKS[task]
+    for name in BESIDE:
+        if name in drivers.index:
+            place = drivers.loc[name, ["mean_speed", "crashed"]]
+            panel.plot(*place, MARKS[name], color=colour, mfc="none", ms=6, clip_on=False)
+    start, end = (drivers.loc[arm] for arm in ARMS)
+    for row, fill in ((start, PAPER), (end, colour)):
+        ends: dict[str, Any] = {
+            axis: [[row[name] - row[f"{name}_low"]], [row[f"{name}_high"] - row[name]]]
+            for axis, name in (("xerr", "mean_speed"), ("yerr", "crashed"))
+        }
+        form: dict[str, Any] = {"color": colour, "mfc": fill, "ms": 7, "mew": 1.6, "clip_on": False}
+        panel.errorbar(row["mean_speed"], row["crashed"], fmt="o", zorder=4, **ends, **form)
+    goal, origin = ((row["mean_speed"], row["crashed"]) for row in (end, start))
+    way = np.hypot((goal[0] - origin[0]) / 30, goal[1] - origin[1])
+    if way > 0.05:  # else the head of the arrow is longer than it
+        arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, "lw": 2, "shrinkA": 0, "shrinkB": 3}
+        panel.annotate("", goal, origin, arrowprops=arrow, zorder=3)
+    x, y, side = NAMES.get(task, (0, 9, "center"))
+    words: dict[str, Any] = {"color": colour, "fontweight": "bold", "fontsize": 10, "ha": side}
+    panel.annotate(task, origin, (x, y), textcoords="offset points", zorder=5, **words)
 
 
 @styled

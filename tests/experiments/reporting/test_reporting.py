@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -256,6 +257,51 @@ def test_the_hazard_is_the_share_of_the_drives_still_on_the_road_that_crashes() 
     # five drives in the first second, three in the second, two in the third
     assert found.loc["a"].tolist() == pytest.approx([1 / 5, 1 / 3, 1 / 2])
     assert found.loc["b"].tolist() == pytest.approx([0.0, 1.0, float("nan")], nan_ok=True)
+
+
+def speeds(*rows: tuple[Any, ...]) -> pd.DataFrame:
+    """task, traffic, driver, crash rate and speed; intervals of a tenth of each to either side."""
+    found = pd.DataFrame(rows, columns=["task", "traffic", "driver", "crashed", "mean_speed"])
+    ends = {
+        f"{name}_{end}": found[name] * factor
+        for name in ("crashed", "mean_speed")
+        for end, factor in (("low", 0.9), ("high", 1.1))
+    }
+    return found.assign(**ends)
+
+
+SPEEDS = speeds(
+    ("u-turn", "regular", "control", 0.01, 23.0), ("u-turn", "regular", "treatment", 0.02, 12.0),
+    ("u-turn", "risky", "control", 0.8, 21.0), ("u-turn", "risky", "treatment", 0.2, 11.0),
+    ("highway", "regular", "control", 0.03, 29.0), ("highway", "regular", "treatment", 0.03, 29.1),
+    ("highway", "risky", "control", 0.2, 29.0), ("highway", "risky", "treatment", 0.1, 29.0),
+    ("highway", "risky", "slower", 0.03, 20.0),
+)  # fmt: skip
+
+
+def test_arrows_lead_from_control_to_treated_agents_where_they_are_apart() -> None:
+    def figure(shown: Any, _: str) -> str:
+        return figures.crashes_against_speed(shown)
+
+    calls = drawn("annotate", figure, SPEEDS)
+    arrows = [call.args[:3] for call in calls if "arrowprops" in call.kwargs]
+    assert arrows == [
+        ("", (12.0, 0.02), (23.0, 0.01)),
+        ("", (11.0, 0.2), (21.0, 0.8)),
+        ("", (29.0, 0.1), (29.0, 0.2)),
+    ]
+    names = [call.args[:2] for call in calls if "arrowprops" not in call.kwargs]
+    assert names[:2] == [("u-turn", (23.0, 0.01)), ("highway", (29.0, 0.03))] and len(names) == 4
+    [mark] = [[*call.args[:2]] for call in drawn("plot", figure, SPEEDS)]
+    assert mark == [20.0, 0.03]
+
+
+def test_a_figure_that_stands_alone_has_every_colour_in_both_schemes() -> None:
+    svg = figures.alone(figures.crashes_against_speed(SPEEDS))
+    style = svg[svg.index("<style>") : svg.index("</style>")]
+    used = {*re.findall(r"var\(--([\w-]+)", svg)}
+    assert {"ink", "paper", "highway", "u-turn"} <= used
+    assert {name: style.count(f"--{name}:") for name in used} == dict.fromkeys(used, 2)
 
 
 def test_paces_weight_every_task_alike() -> None:

@@ -134,7 +134,7 @@ class Plan:
 
 
 DEFAULT = Plan()
-# Plan 5 (docs/developers/plan_v5.md).
+# Plan 5 (results/study/plan.md).
 STUDY = Plan(
     version=5,
     learner=Learner(),

@@ -68,7 +68,7 @@ PRESETS = {
         ),
         Experiment(
             preset="study",
-            about="the study (docs/developers/plan_v5.md): 18 settings, five seeds, 400 scenarios: 21 core hours",
+            about="the study (results/study/plan.md): 18 settings, five seeds, 400 scenarios: 21 core hours",
             seeds=5,
             episodes=400,
             gate_episodes=100,

@@ -1,6 +1,7 @@
 """The pages that quote tables: ``make pages`` fills their numbers in from the stored files.
 
 Each file of docs/templates/ is a page in Markdown: README.md.j2 is the README, any other the page of its name in docs/.
+FIGURES are drawn from the same files.
 Where a page has a number that a command computes, its template calls a function of this module: {{ validation().all }}
 becomes the number of checks in experiments/validation/verdict.json. The words are the templates' own. Filled pages are
 committed, because GitHub shows them; ``--check`` compares alone. Numbers of frozen studies are plain text.
@@ -25,11 +26,20 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from docs.settings import readme_agents, trainings
 from experiments import evaluate
+from experiments.analysis.by_task import SURROGATES
+from experiments.analysis.by_task import by_task as effects_by_task
+from experiments.analysis.drivers import drivers
 from experiments.analysis.gates import CROSSINGS
+from experiments.analysis.plan import OUTCOMES, STUDY
+from experiments.analysis.scores import at_home, with_outcomes
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL
-from experiments.reporting.tables import chosen, effect, interval, kind_of, plain, points
+from experiments.reporting.figures import BESIDE, alone, crashes_against_speed
+from experiments.reporting.tables import TABLES, chosen, effect, interval, kind_of, plain, points
+from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID
+from experiments.study.results.loaded import load
+from sumo_env.tasks import TASKS
 
 TEMPLATES = ROOT / "docs" / "templates"
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
@@ -42,11 +52,15 @@ def verdict() -> dict[str, dict[str, Any]]:
 
 
 def validation(task: str | None = None) -> dict[str, int]:
-    """How many checks of SUMO against highway-env there are (all), and how many are equivalent, within and missed."""
+    """How many checks of SUMO against highway-env there are (all), and how many are equivalent, within and missed.
+
+    orders: those of the order of egos, by return and by crash rate in each setting and traffic.
+    """
     counts = pd.DataFrame({name: own["counts"] for name, own in verdict().items()})
     sums = (counts.sum(axis=1) if task is None else counts[task]).to_dict()
     passed = sums["equivalent"] + sums["within"]
-    return {"all": passed + sums["missed"], "passed": passed, **sums}
+    orders = 4 * sum(task in (None, own) for own, _ in STUDY.settings)
+    return {"all": passed + sums["missed"], "passed": passed, "orders": orders, **sums}
 
 
 def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dict[str, float]:
@@ -83,14 +97,25 @@ def entries(*outcomes: str) -> str:
 
 
 @functools.cache
+def episodes() -> pd.DataFrame:
+    """The test episodes of the published study on SUMO, with outcomes as columns."""
+    results = load(ROOT / "results" / "study")
+    return at_home(with_outcomes(results, {**OUTCOMES, **SURROGATES}))
+
+
+@functools.cache
 def study() -> Any:
-    """The analysis of the published study, as the report's tables take it."""
+    """The analysis of the published study, as the report's tables take it, and danger: its SURROGATES by task."""
     stored = json.loads((ROOT / "results" / "study" / "analysis.json").read_text())
-    frames = {name: part for name, part in stored.items() if isinstance(part, dict) and "columns" in part}
-    return SimpleNamespace(
-        **stored
-        | {name: pd.DataFrame(part["rows"], columns=part["columns"]) for name, part in frames.items()}
-    )
+    parts = {name: part for name, part in stored.items() if isinstance(part, dict) and "columns" in part}
+    frames = {name: pd.DataFrame(part["rows"], columns=part["columns"]) for name, part in parts.items()}
+    frames["danger"] = effects_by_task(episodes(), STUDY, SURROGATES)
+    return SimpleNamespace(**stored | frames)
+
+
+def speed_figure() -> str:
+    """Crashes against speed of everybody in each task's lightest traffic."""
+    return alone(crashes_against_speed(drivers(chosen(episodes(), level=1), [*BESIDE])))
 
 
 def row(frame: str, **wanted: Any) -> dict[str, Any]:
@@ -99,9 +124,30 @@ def row(frame: str, **wanted: Any) -> dict[str, Any]:
     return dict(found)
 
 
-def failing() -> dict[str, Any]:
-    """Where the agents of that study fail the gates, see `reporting.by_task.failing`."""
-    return by_task.failing(study().gates)
+def difference(task: str, traffic: str) -> str:
+    """Treated minus control agents' crash rate on SUMO [points].
+
+    Bold where the plan decides it (Holm), with a star where only its interval excludes 0, in traffic outside the plan's
+    question.
+    """
+    found = row("by_task", scope=task, traffic=traffic, outcome="crashed", tested_on="sumo")
+    text = points(found["estimate"], "crashed")
+    asked = chosen(study().primary, scope=task, term=traffic)
+    if len(asked):
+        return text if asked["verdict"].item() == "open" else f"**{text}**"
+    return text + r"\*" * (found["low"] * found["high"] > 0)
+
+
+def failing(*arms: str) -> dict[str, Any]:
+    """Where the agents of these arms of that study fail the gates, see `reporting.by_task.failing`."""
+    return by_task.failing(chosen(study().gates, arm=list(arms or ARMS)))
+
+
+def survivors(task: str, level: str) -> tuple[int, int]:
+    """How many drivers the study has in a setting, and how many of them ever survive a regular episode."""
+    own = chosen(episodes(), task=task, level_name=level, traffic="regular")
+    always = own.groupby("cell")["crashed"].min()
+    return len(always), int((always < 1).sum())
 
 
 SHARES: dict[str, Callable[[pd.DataFrame], pd.Series]] = {
@@ -110,15 +156,28 @@ SHARES: dict[str, Callable[[pd.DataFrame], pd.Series]] = {
         rows["actions"].str[:2].str.contains("0")
     ),  # LANE_LEFT, in a step of 1 s each
     "hits an oncoming car": lambda rows: rows["crash_type"] == "frontal",
+    "crashes": lambda rows: rows["crashed"] > 0,
+    "crashes late": lambda rows: rows["crash_time"] > rows["seconds"] - 2,  # in the last 2 s
 }
 
 
-def share(what: str, setting: str, arm: str) -> float:
-    """In how many of the regular test episodes of an arm's agents that happens [%]."""
-    (file,) = (ROOT / "results" / "study" / "parts").glob(f"sumo-{setting}-{arm}-*.parquet")
-    rows = chosen(pd.read_parquet(file), purpose="test", traffic="regular")
-    own = rows[~rows["cell"].str.contains("-on-replica-|-unseen-")]
+def share(what: str, task: str, level: str, arm: str, traffic: str = "regular") -> float:
+    """In how many of the test episodes of an arm's agents that happens [%]."""
+    own = chosen(episodes(), task=task, level_name=level, arm=arm, traffic=traffic, kind="agent")
     return float(100 * SHARES[what](own).mean())
+
+
+def other_learners(learner: str) -> tuple[float, float]:
+    """The least and the largest crash rate in risky traffic of a learner's agents, roundabout, 5 cars, replica [%]."""
+    table = pd.read_parquet(ROOT / "results" / "other-learners" / "trainings.parquet")
+    rates = 100 * chosen(table, task="roundabout", traffic="risky", learner=learner)["crashed"]
+    return rates.min(), rates.max()
+
+
+def events_per_hour(task: str) -> float:
+    """How many risk events a vehicle of the task has at dose 1 in an hour."""
+    rates = TASKS[task].risk_rates
+    return 3600 * (rates.cut_in + rates.brake + rates.surge)
 
 
 def arrow(row: dict[str, Any], digits: int | None = None, bold: bool = False) -> str:
@@ -145,20 +204,11 @@ def _markdown(frame: pd.DataFrame) -> str:
 
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(
-        entries,
-        failing,
-        missed,
-        readme_agents,
-        road_units,
-        row,
-        share,
-        study,
-        trainings,
-        validation,
-    )
+    *(difference, entries, events_per_hour, failing, missed, other_learners, readme_agents, road_units, row),
+    *(share, study, survivors, table, trainings, validation),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
+FIGURES = {ROOT / "docs" / "img" / "study.svg": speed_figure}
 
 
 def page_of(template: Path) -> Path:
@@ -189,14 +239,15 @@ def templates() -> list[Path]:
 
 
 def main() -> int:
-    """Write the pages, or with --check say which are not what their templates make; 1 if there is one."""
+    """Write pages and figures, or with --check say which are not what is made of the tables; 1 if there is one."""
     stale = 0
-    for template in templates():
-        page, text = page_of(template), filled(template)
+    made = {page_of(template): filled(template) for template in templates()}
+    made |= {file: draw() for file, draw in FIGURES.items()}
+    for page, text in made.items():
         if page.exists() and page.read_text(encoding="utf-8") == text:
             continue
         if "--check" in sys.argv:
-            print(f"{page.relative_to(ROOT)} is not what its template makes: make pages", file=sys.stderr)
+            print(f"{page.relative_to(ROOT)} is not what the tables make: make pages", file=sys.stderr)
             stale = 1
         else:
             page.write_text(text, encoding="utf-8")

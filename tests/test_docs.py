@@ -249,6 +249,59 @@ def test_the_checks_of_the_validation_are_counted() -> None:
     assert found["missed"] == sum(len(own["missed"]) for own in studied) == found["all"] - found["passed"]
 
 
+def episodes_of(setting: str, arm: str, traffic: str) -> list[dict[str, Any]]:
+    """The stored test episodes of an arm's agents at home."""
+    [file] = (ROOT / "results" / "study" / "parts").glob(f"sumo-{setting}-{arm}-*.parquet")
+    rows = pq.read_table(file).to_pylist()
+    mine = [row for row in rows if (row["purpose"], row["traffic"]) == ("test", traffic)]
+    return [row for row in mine if not re.search("-on-replica-|-unseen-", row["cell"])]
+
+
+def test_numbers_of_the_study_are_those_of_its_stored_episodes() -> None:
+    treated = episodes_of("u-turn-3", "treatment", "regular")
+    assert len(treated) == 5 * 400
+    late = [row["crash_time"] for row in episodes_of("u-turn-3", "treatment", "risky") if row["crashed"]]
+    shown = [pages.share(what, "u-turn", "3", "treatment", "risky") for what in ("crashes", "crashes late")]
+    assert shown == pytest.approx([len(late) / 20, sum(time > 8 for time in late) / 20])
+
+    both = [treated, episodes_of("u-turn-12", "treatment", "regular")]
+    close = sum(row["min_ttc"] < 1 for rows in both for row in rows) / 4000
+    assert pages.row("danger", scope="u-turn", traffic="regular", outcome="close")["mean_arm"] == close
+    ratios = []
+    for rows in both:
+        sums: dict[str, Counter[str]] = {name: Counter() for name in ("near_misses", "distance")}
+        for row in rows:
+            for name, of_agents in sums.items():
+                of_agents[row["cell"]] += row[name]
+        ratios += [1e3 * sums["near_misses"][cell] / sums["distance"][cell] for cell in sums["distance"]]
+    found = pages.row("danger", scope="u-turn", traffic="regular", outcome="near_misses_per_km")
+    assert found["mean_arm"] == pytest.approx(sum(ratios) / 10)
+
+    assert (
+        pages.difference("u-turn", "risky") == "**−56.8**" and pages.difference("highway", "risky") == "−3.9"
+    )
+    assert (
+        pages.difference("u-turn", "measured") == "+0.4"
+        and pages.difference("u-turn", "only-parameters")[-1] == "*"
+    )
+    assert pages.survivors("two-way", "15+6")[1] == 0 < pages.survivors("two-way", "5+2")[1]
+    arms = [pages.failing(arm) for arm in ("control", "treatment")]
+    assert sum(arm["passed"] for arm in arms) == pages.failing()["passed"] and arms[0]["of"] == 50
+    assert pages.events_per_hour("u-turn") == pytest.approx(3600 / 5 + 3600 / 10)  # docs/traffic-and-risk.md
+    assert pages.other_learners("treatment") == pytest.approx((8.25, 17.0))
+
+
+def test_the_figure_of_the_study_is_what_its_episodes_make() -> None:
+    """Up to the last digits, which hang on the processor."""
+    [(file, draw)] = pages.FIGURES.items()
+    number = re.compile(r"-?\d+\.\d+")
+    then, now = file.read_text(encoding="utf-8"), draw()
+    assert number.sub("#", then) == number.sub("#", now)
+    assert list(map(float, number.findall(then))) == pytest.approx(
+        list(map(float, number.findall(now))), abs=0.01
+    )
+
+
 def test_the_table_of_all_folders_names_each_published_one() -> None:
     rows = table(section(TEXTS[ROOT / "docs" / "earlier-studies.md"], "All folders"))
     published = (path.parent.name for path in (ROOT / "results").glob("*/PUBLISHED.md"))

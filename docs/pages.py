@@ -35,7 +35,7 @@ from experiments.analysis.scores import at_home, with_outcomes
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL
 from experiments.reporting.figures import BESIDE, alone, crashes_against_speed
-from experiments.reporting.tables import TABLES, chosen, effect, interval, kind_of, plain, points
+from experiments.reporting.tables import chosen, effect, interval, kind_of, plain, points
 from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID
 from experiments.study.results.loaded import load
@@ -113,11 +113,6 @@ def study() -> Any:
     return SimpleNamespace(**stored | frames)
 
 
-def speed_figure() -> str:
-    """Crashes against speed of everybody in each task's lightest traffic."""
-    return alone(crashes_against_speed(drivers(chosen(episodes(), level=1), [*BESIDE])))
-
-
 def row(frame: str, **wanted: Any) -> dict[str, Any]:
     """The row of a frame of that analysis that has these values."""
     (found,) = chosen(getattr(study(), frame), backend="sumo", **wanted).to_dict("records")
@@ -125,17 +120,8 @@ def row(frame: str, **wanted: Any) -> dict[str, Any]:
 
 
 def difference(task: str, traffic: str) -> str:
-    """Treated minus control agents' crash rate on SUMO [points].
-
-    Bold where the plan decides it (Holm), with a star where only its interval excludes 0, in traffic outside the plan's
-    question.
-    """
-    found = row("by_task", scope=task, traffic=traffic, outcome="crashed", tested_on="sumo")
-    text = points(found["estimate"], "crashed")
-    asked = chosen(study().primary, scope=task, term=traffic)
-    if len(asked):
-        return text if asked["verdict"].item() == "open" else f"**{text}**"
-    return text + r"\*" * (found["low"] * found["high"] > 0)
+    """Treated minus control agents' crash rate in that study, see `reporting.by_task.difference`."""
+    return by_task.difference(study(), "sumo", task, traffic)
 
 
 def failing(*arms: str) -> dict[str, Any]:
@@ -152,9 +138,7 @@ def survivors(task: str, level: str) -> tuple[int, int]:
 
 SHARES: dict[str, Callable[[pd.DataFrame], pd.Series]] = {
     "enters": lambda rows: rows["distance"] >= CROSSINGS["roundabout"],
-    "overtakes at once": lambda rows: (
-        rows["actions"].str[:2].str.contains("0")
-    ),  # LANE_LEFT, in a step of 1 s each
+    "overtakes at once": lambda rows: rows["actions"].str[:2].str.contains("0"),  # LANE_LEFT, within 2 s
     "hits an oncoming car": lambda rows: rows["crash_type"] == "frontal",
     "crashes": lambda rows: rows["crashed"] > 0,
     "crashes late": lambda rows: rows["crash_time"] > rows["seconds"] - 2,  # in the last 2 s
@@ -208,7 +192,11 @@ FUNCTIONS: list[Callable[..., Any]] = [
     *(share, study, survivors, table, trainings, validation),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
-FIGURES = {ROOT / "docs" / "img" / "study.svg": speed_figure}
+FIGURES: dict[Path, Callable[[], str]] = {
+    ROOT / "docs" / "img" / "study.svg": lambda: alone(
+        crashes_against_speed(drivers(chosen(episodes(), level=1), [*BESIDE]))
+    )
+}
 
 
 def page_of(template: Path) -> Path:

@@ -93,6 +93,22 @@ def sides(analysis: Analysis, backend: str, outcome: str, place: tuple[str, str]
     return found
 
 
+def difference(analysis: Analysis, backend: str, task: str, traffic: str) -> str:
+    """Treated minus control agents' crash rate [points], tested on the simulator of the training.
+
+    Bold where the plan decides it (Holm's correction); of traffic that it does not ask about, with a star where the
+    interval excludes 0.
+    """
+    [row] = chosen(
+        analysis.by_task, backend=backend, tested_on=backend, scope=task, traffic=traffic, outcome="crashed"
+    ).to_dict("records")
+    text = points(row["estimate"], "crashed")
+    asked = chosen(analysis.primary, backend=backend, scope=task, term=traffic)
+    if len(asked):
+        return text if asked["verdict"].item() == "open" else f"**{text}**"
+    return text + r"\*" * (row["low"] * row["high"] > 0)
+
+
 def hopeless(analysis: Analysis, backend: str, least: float = 0.8) -> dict[str, float]:
     """Settings in which every driver that does not learn crashes in at least this share of the regular episodes.
 

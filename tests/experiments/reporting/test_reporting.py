@@ -98,6 +98,16 @@ def test_a_setting_that_no_rule_survives_is_named_with_its_best_driver() -> None
     assert found == {"two-way 5+2": 0.9}
 
 
+def test_a_difference_is_marked_where_the_plan_decides_it_or_its_interval_does() -> None:
+    """Whatever the interval says, where the plan asks."""
+    verdicts = [("u-turn", "risky", "less"), ("two-way", "risky", "open")]
+    primary = pd.DataFrame(verdicts, columns=["scope", "term", "verdict"]).assign(backend="sumo")
+    found = analysis(by_task=TASKS, primary=primary)
+    places = [("u-turn", "risky"), ("two-way", "risky"), ("u-turn", "only-parameters"), ("u-turn", "regular")]
+    texts = [by_task.difference(found, "sumo", *place) for place in places]
+    assert texts == ["**−61.0**", "−9.0", r"−0.9\*", "0.0"]
+
+
 def test_tasks_are_on_the_side_that_the_plan_or_their_interval_says() -> None:
     """Of the primary outcome at home by the plan, whatever the interval says; of all else by the interval."""
     verdicts = [("u-turn", "risky", "less"), ("two-way", "risky", "open"), ("two-way", "regular", "more")]

@@ -35,7 +35,7 @@ from experiments.analysis.scores import at_home, with_outcomes
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL
 from experiments.reporting.figures import BESIDE, alone, crashes_against_speed
-from experiments.reporting.tables import chosen, effect, interval, kind_of, plain, points
+from experiments.reporting.tables import chosen, effect, interval, plain, points
 from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID
 from experiments.study.results.loaded import load
@@ -61,14 +61,6 @@ def validation(task: str | None = None) -> dict[str, int]:
     passed = sums["equivalent"] + sums["within"]
     orders = 4 * sum(task in (None, own) for own, _ in STUDY.settings)
     return {"all": passed + sums["missed"], "passed": passed, "orders": orders, **sums}
-
-
-def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dict[str, float]:
-    """A check that is missed: the numbers of sumo and of the reference, and the margin."""
-    wanted = {"level": level, "traffic": traffic, "name": name, "ego": ego}
-    found: dict[str, float]
-    (found,) = (item for item in verdict()[task]["missed"] if wanted.items() <= item.items())
-    return found
 
 
 def road_units(task: str, unit: str, digits: int) -> str:
@@ -164,20 +156,10 @@ def events_per_hour(task: str) -> float:
     return 3600 * (rates.cut_in + rates.brake + rates.surge)
 
 
-def arrow(row: dict[str, Any], digits: int | None = None, bold: bool = False) -> str:
-    """From control to treated agents, "38.4→34.2"; bold where the interval of the difference excludes 0.
-
-    Args:
-        digits: by default as many as the outcome deserves.
-        bold: mark what differs.
-    """
-    name, sides = row["outcome"], (row["mean_against"], row["mean_arm"])
-    kind = kind_of(name)
+def arrow(row: dict[str, Any], bold: bool = False) -> str:
+    """From control to treated agents, "38.4→34.2"; bold where the interval of the difference excludes 0."""
     control, treated = (
-        points(side, name, signed=False)
-        if digits is None
-        else plain(side * (100 if kind.percent else 1), digits)
-        for side in sides
+        points(row[side], row["outcome"], signed=False) for side in ("mean_against", "mean_arm")
     )
     return f"{control}→**{treated}**" if bold and row["low"] * row["high"] > 0 else f"{control}→{treated}"
 
@@ -188,8 +170,8 @@ def _markdown(frame: pd.DataFrame) -> str:
 
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(difference, entries, events_per_hour, failing, missed, other_learners, readme_agents, road_units, row),
-    *(share, study, survivors, table, trainings, validation),
+    *(difference, entries, events_per_hour, failing, other_learners, readme_agents, road_units, row),
+    *(share, study, survivors, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 FIGURES: dict[Path, Callable[[], str]] = {

@@ -30,18 +30,17 @@ from experiments.analysis.by_task import SURROGATES
 from experiments.analysis.by_task import by_task as effects_by_task
 from experiments.analysis.drivers import drivers
 from experiments.analysis.gates import CROSSINGS
-from experiments.analysis.plan import OUTCOMES, STUDY
-from experiments.analysis.scores import at_home, with_outcomes
+from experiments.analysis.plan import STUDY
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL
 from experiments.reporting.figures import BESIDE, alone, crashes_against_speed
 from experiments.reporting.tables import chosen, effect, interval, plain, points
 from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID
-from experiments.study.results.loaded import load
 from sumo_env.tasks import TASKS
 
 TEMPLATES = ROOT / "docs" / "templates"
+CELL = r"sumo-(?P<task>\D+)-(?P<level_name>[\d+]+)-(?P<arm>[a-z-]+?)(?:-s(?P<seed>\d+))?-[0-9a-f]{12}"
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
@@ -85,14 +84,23 @@ def entries(*outcomes: str) -> str:
                 cells = [[points(row[name][0], name, signed=False) for row in both] for name in outcomes]
                 line[task] = " ".join(map("/".join, cells))
         lines.append(line)
-    return _markdown(pd.DataFrame(lines))
+    table = pd.DataFrame(lines).fillna("")
+    rows = [list(table.columns), ["---"] * len(table.columns), *table.values]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 @functools.cache
 def episodes() -> pd.DataFrame:
-    """The test episodes of the published study on SUMO, with outcomes as columns."""
-    results = load(ROOT / "results" / "study")
-    return at_home(with_outcomes(results, {**OUTCOMES, **SURROGATES}))
+    """The test episodes of the published study on SUMO, with SURROGATES, from files of an earlier version."""
+    parts = sorted((ROOT / "results" / "study" / "parts").glob("*.parquet"))
+    tests = chosen(pd.concat(map(pd.read_parquet, parts)), purpose="test")
+    rows = tests[~tests["cell"].str.contains("-on-replica-|-unseen-")]
+    cells = pd.Series(rows["cell"].unique())
+    cells = cells.str.extract(CELL).assign(cell=cells, backend="sumo", tested_on="sumo")
+    cells["level"] = [GRID[task].index(name) + 1 for task, name in cells[["task", "level_name"]].values]
+    cells["kind"] = cells["arm"].isin(ARMS).map({True: "agent", False: "baseline"})
+    rows = rows.astype({"crashed": float}).merge(cells.assign(policy=cells["arm"]), on="cell")
+    return rows.assign(**{name: one.of for name, one in SURROGATES.items()})
 
 
 @functools.cache
@@ -105,15 +113,15 @@ def study() -> Any:
     return SimpleNamespace(**stored | frames)
 
 
+def speed_figure() -> str:
+    """Crashes against speed of everybody in each task's lightest traffic."""
+    return alone(crashes_against_speed(drivers(chosen(episodes(), level=1), [*BESIDE])))
+
+
 def row(frame: str, **wanted: Any) -> dict[str, Any]:
     """The row of a frame of that analysis that has these values."""
     (found,) = chosen(getattr(study(), frame), backend="sumo", **wanted).to_dict("records")
     return dict(found)
-
-
-def difference(task: str, traffic: str) -> str:
-    """Treated minus control agents' crash rate in that study, see `reporting.by_task.difference`."""
-    return by_task.difference(study(), "sumo", task, traffic)
 
 
 def failing(*arms: str) -> dict[str, Any]:
@@ -124,22 +132,20 @@ def failing(*arms: str) -> dict[str, Any]:
 def survivors(task: str, level: str) -> tuple[int, int]:
     """How many drivers the study has in a setting, and how many of them ever survive a regular episode."""
     own = chosen(episodes(), task=task, level_name=level, traffic="regular")
-    always = own.groupby("cell")["crashed"].min()
-    return len(always), int((always < 1).sum())
+    survive = own.groupby("cell")["crashed"].min() < 1
+    return len(survive), int(survive.sum())
 
 
 SHARES: dict[str, Callable[[pd.DataFrame], pd.Series]] = {
     "enters": lambda rows: rows["distance"] >= CROSSINGS["roundabout"],
     "overtakes at once": lambda rows: rows["actions"].str[:2].str.contains("0"),  # LANE_LEFT, within 2 s
     "hits an oncoming car": lambda rows: rows["crash_type"] == "frontal",
-    "crashes": lambda rows: rows["crashed"] > 0,
-    "crashes late": lambda rows: rows["crash_time"] > rows["seconds"] - 2,  # in the last 2 s
 }
 
 
-def share(what: str, task: str, level: str, arm: str, traffic: str = "regular") -> float:
-    """In how many of the test episodes of an arm's agents that happens [%]."""
-    own = chosen(episodes(), task=task, level_name=level, arm=arm, traffic=traffic, kind="agent")
+def share(what: str, task: str, level: str, arm: str) -> float:
+    """In how many of the regular test episodes of an arm's agents that happens [%]."""
+    own = chosen(episodes(), task=task, level_name=level, arm=arm, traffic="regular", kind="agent")
     return float(100 * SHARES[what](own).mean())
 
 
@@ -164,21 +170,12 @@ def arrow(row: dict[str, Any], bold: bool = False) -> str:
     return f"{control}→**{treated}**" if bold and row["low"] * row["high"] > 0 else f"{control}→{treated}"
 
 
-def _markdown(frame: pd.DataFrame) -> str:
-    cells = [list(frame.columns), ["---"] * len(frame.columns), *frame.fillna("").astype(str).values]
-    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
-
-
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(difference, entries, events_per_hour, failing, other_learners, readme_agents, road_units, row),
+    *(by_task.difference, entries, events_per_hour, failing, other_learners, readme_agents, road_units, row),
     *(share, study, survivors, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
-FIGURES: dict[Path, Callable[[], str]] = {
-    ROOT / "docs" / "img" / "study.svg": lambda: alone(
-        crashes_against_speed(drivers(chosen(episodes(), level=1), [*BESIDE]))
-    )
-}
+FIGURES = {ROOT / "docs" / "img" / "study.svg": speed_figure}
 
 
 def page_of(template: Path) -> Path:

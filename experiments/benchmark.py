@@ -34,8 +34,7 @@ import pandas as pd
 
 from experiments.backends import make_env
 from experiments.study.design.levels import choose_tasks
-from experiments.study.design.options import TaskNames
-from experiments.support.arguments import command
+from experiments.support.arguments import TaskNames, command
 from experiments.support.errors import writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance

@@ -34,10 +34,9 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 
 from experiments.study.design.fingerprint import check_dynamics
 from experiments.study.design.levels import choose_tasks, level_names
-from experiments.study.design.options import TaskNames
 from experiments.study.design.sheet import GRID, Between, Space, sheet
 from experiments.study.design.traffic import AT_A_DOSE
-from experiments.support.arguments import command
+from experiments.support.arguments import TaskNames, command
 from experiments.support.errors import writing
 from experiments.support.files import write_file, write_json
 from experiments.validation import episodes

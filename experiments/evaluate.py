@@ -41,8 +41,7 @@ from experiments.reporting.page import render
 from experiments.study.compute.entrants import Entrant, Place, entrants
 from experiments.study.compute.frozen_test import resolved, take
 from experiments.study.design.fingerprint import check_dynamics, dynamics
-from experiments.study.design.options import TaskNames
-from experiments.support.arguments import command
+from experiments.support.arguments import TaskNames, command
 from experiments.support.errors import UserError, check_known, writing
 from experiments.support.files import read_json, sha256_bytes, write_file, write_json
 from experiments.support.provenance import provenance

@@ -44,7 +44,7 @@ from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, ending, play_again
 from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import Store, find_cell
-from experiments.support.arguments import command
+from experiments.support.arguments import Flag, command
 from experiments.support.errors import UserError, check_known
 from experiments.support.films import Film, Pictures, check_film, save_gif, side_by_side
 
@@ -58,11 +58,11 @@ class Options:
     regular, risky or another that the cell was tested in, scenarios count from 0; by default the first crash."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """File (or folder) to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in DIR."""
-    sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    sumo: Flag = False
     """Write a folder that sumo and sumo-gui open instead of a film (GIF): network, vehicles and the ego's way."""
-    policy: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    policy: Flag = False
     """Drive the agent itself instead of the actions that it chose then."""
-    avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    avoid: Flag = False
     """Search for actions that would have avoided the crash; writes DIR/CELL-TRAFFIC-SCENARIO-avoided.gif."""
     code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME", help_behavior_hint="")] = None
     """The cell's own policy, network or learner, for --policy; code is run only where you name it."""

@@ -28,7 +28,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import pandas as pd
-import tyro
 
 from experiments import backends
 from experiments.backends import MakeEnv
@@ -38,36 +37,36 @@ from experiments.study.compute.executors import EXECUTORS, cores
 from experiments.study.compute.progress import duration, seconds
 from experiments.study.compute.run import compute_here
 from experiments.study.design.cell import Cell
-from experiments.study.design.experiment import shard
-from experiments.study.design.fingerprint import check_dynamics, check_learners, known_dynamics
-from experiments.study.design.options import Asked, argument
+from experiments.study.design.experiment import Experiment, shard
+from experiments.study.design.fingerprint import check_dynamics, check_learners, dynamics, known_dynamics
+from experiments.study.design.presets import asked_preset, cells_of, of_preset
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
-from experiments.support.arguments import command
+from experiments.support.arguments import Flag, argument, command
 from experiments.support.errors import UserError, check_known, writing
 
 
-@dataclass(frozen=True)
-class Options(Asked):
+@dataclass(frozen=True, kw_only=True)
+class Options(Experiment):
     """Train and test the agents of both arms and the baselines, then write the report."""
 
     out: Annotated[Path | None, argument("DIR", "results/BACKEND-PRESET")] = None
     """Directory for the results."""
-    executor: Annotated[str, argument("NAME", "local")] = "local"
+    executor: Annotated[str, argument("NAME")] = "local"
     """Where cells are computed: local (processes of this machine), ray or slurm (docs/clusters.md)."""
     workers: Annotated[int | None, argument("N", "the number of cores; on Slurm 100")] = None
     """Cells that are computed at a time."""
-    shard: Annotated[str, argument("I/N", "1/1")] = "1/1"
+    shard: Annotated[str, argument("I/N")] = "1/1"
     """Compute only this part of the cells, for job arrays."""
     cell: Annotated[str | None, argument("NAME", "all")] = None
     """Compute this cell alone (the beginning of its name is enough) and in this process, to see why it fails."""
-    dry_run: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    dry_run: Flag = False
     """Print the cells and an estimate of the time, and compute nothing."""
 
     @property
     def directory(self) -> Path:
         """Where the results go."""
-        return self.out or Path("results") / f"{self.experiment.backend}-{self.preset}"
+        return self.out or Path("results") / f"{self.backend}-{self.preset}"
 
 
 def sweep(
@@ -84,12 +83,13 @@ def sweep(
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")
     check_known("executor", [options.executor], EXECUTORS)
-    if options.dry_run:
-        planned = shard(options.cells(known_dynamics, make_env), options.shard)
-        describe(options, planned, options.workers or cores())
-        return 0
-    cells = options.cells(make_env=make_env)
+    cells = cells_of(options, known_dynamics if options.dry_run else dynamics, make_env)
     mine = shard(cells, options.shard)
+    if options.cell:
+        mine = [one_of(mine, options.cell)]
+    if options.dry_run:
+        describe(options, mine, options.workers or cores())
+        return 0
     check(pair for cell in mine for pair in cell.simulated)
     there = set(Store(options.directory).finished())
     new = [cell for cell in mine if cell.name not in there]
@@ -98,7 +98,7 @@ def sweep(
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     with writing(options.directory):
         if options.cell:
-            return compute_one(options.cell, mine, options.directory, make_env)
+            return compute_one(mine[0], options.directory, make_env)
         Store(options.directory).write_sweep(again, cells)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
         try:
@@ -136,11 +136,16 @@ def refuse_early(cells: Iterable[Cell], executor: str) -> None:
                 raise UserError(f"device {device}: {str(error).splitlines()[0]}") from None
 
 
-def compute_one(wanted: str, cells: Sequence[Cell], directory: Path, make_env: MakeEnv) -> int:
-    """Compute one cell in this process, to see why it fails."""
+def one_of(cells: Sequence[Cell], wanted: str) -> Cell:
+    """The cell of this name, or with this beginning. Raises UserError for none or several."""
     name = find_cell(wanted, [cell.name for cell in cells])
-    compute_here(CellTask(next(cell for cell in cells if cell.name == name), directory, make_env))
-    print(f"finished: {Store(directory).cells / name}")
+    return next(cell for cell in cells if cell.name == name)
+
+
+def compute_one(cell: Cell, directory: Path, make_env: MakeEnv) -> int:
+    """Compute one cell in this process, to see why it fails."""
+    compute_here(CellTask(cell, directory, make_env))
+    print(f"finished: {Store(directory).cells / cell.name}")
     return 0
 
 
@@ -165,7 +170,7 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     table["finished"] = [cell.name in there for cell in cells]
     table["core hours"] = [seconds(cell) / 3600 for cell in cells] * ~table["finished"]
     table = table.groupby(["task", "level"], sort=False, as_index=False).sum()
-    print(f"preset {options.preset}: {options.experiment.about}\nresults go to {options.directory}")
+    print(f"preset {options.preset}: {options.about}\nresults go to {options.directory}")
     print(table.to_string(index=False, float_format="{:.2f}".format))
     if new := list(dict.fromkeys(cell.task for cell in cells if not cell.dynamics)):
         print(
@@ -178,4 +183,10 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
 
 
 if __name__ == "__main__":
-    command(lambda options: sweep(options, sys.argv[1:]), Options, __doc__, resumes=True)
+    command(
+        lambda options: sweep(options, sys.argv[1:]),
+        Options,
+        __doc__,
+        resumes=True,
+        default=lambda words: of_preset(Options, asked_preset(words)),
+    )

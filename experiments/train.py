@@ -19,35 +19,38 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from agents.files import atomic
 from experiments.study.compute.cells import compute
 from experiments.study.design.cell import Cell
+from experiments.study.design.experiment import Experiment
 from experiments.study.design.fingerprint import check_dynamics, check_learners
-from experiments.study.design.options import Asked, Names, argument
+from experiments.study.design.presets import asked_preset, cells_of, of_preset
 from experiments.study.results.store import Store
 from experiments.study.results.working import LOG
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, writing
-from sumo_env.tasks import TASKS
 
 SMOOTH = 50  # training episodes over which the picture averages
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(Asked):
+class Options(Experiment):
     """Train and test one agent, and draw how it learned."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Directory for the agent; it may hold others already."""
-    tasks: Annotated[Names, argument("TASK ...", "u-turn", f"Some of {', '.join(TASKS)}.")] = ("u-turn",)
-    levels: Annotated[tuple[int, ...] | None, argument("LEVEL ...", "1")] = (1,)
-    seeds: Annotated[int | None, argument("N", "1")] = 1
-    arms: Annotated[Names, argument("ARM ...", "treatment")] = ("treatment",)
+
+
+def default(words: Sequence[str] = (), out: Path = tyro.MISSING) -> Options:
+    """The options of a command line that says no more than its preset: one agent."""
+    one: dict[str, Any] = {"tasks": ("u-turn",), "levels": (1,), "seeds": 1, "arms": ("treatment",)}
+    return of_preset(Options, asked_preset(words), **one, out=out)
 
 
 def draw(directory: Path, cell: Cell) -> Path:
@@ -67,7 +70,7 @@ def draw(directory: Path, cell: Cell) -> Path:
 
 def train(options: Options, arguments: list[str]) -> int:
     """Do what the options ask for; returns the exit status."""
-    asked = options.cells()
+    asked = cells_of(options)
     agents = [cell for cell in asked if cell.kind == "agent"]
     check_dynamics(pair for cell in asked for pair in cell.simulated)
     check_learners((cell.policy, cell.profile) for cell in agents)
@@ -85,4 +88,4 @@ def train(options: Options, arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    command(lambda options: train(options, sys.argv[1:]), Options, __doc__, resumes=True)
+    command(lambda options: train(options, sys.argv[1:]), Options, __doc__, resumes=True, default=default)

@@ -29,10 +29,9 @@ import tyro
 
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import choose_levels, choose_tasks
-from experiments.study.design.options import TaskNames
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import STORED, versions
-from experiments.support.arguments import command
+from experiments.support.arguments import TaskNames, command
 from experiments.support.errors import UserError, writing
 from experiments.support.files import read_json, write_file, write_json
 from experiments.support.provenance import provenance

@@ -3,46 +3,113 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
 
 import tyro
 
-from experiments.support.errors import run_command
+from experiments.support.errors import UserError, run_command
+from sumo_env.tasks import TASKS
 
 T = TypeVar("T")
+SWITCH = {"true": True, "yes": True, "false": False, "no": False}  # what a flag takes
+Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 
 
-def command(run: Callable[[T], int], options: type[T], about: str | None, resumes: bool = False) -> None:
-    """Run a command with the options of its command line, and leave the process (`errors.run_command`)."""
-    run_command(lambda: run(parsed(options, sys.argv[1:], about)), resumes)
+def argument(metavar: str, none: str = "none", help: str | None = None) -> Any:
+    """How an option is shown in the help text. none: its default in words where that is empty."""
+
+    def hint(default: str) -> str:
+        return f"(default: {none if default in ('', 'None') else default})"
+
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, help=help)
 
 
-def parsed(options: type[T], arguments: Iterable[str], about: str | None) -> T:
-    """The options of a command line. about: the command, for the help."""
+TASK = argument("TASK ...", "those of the study", f"Some of {', '.join(TASKS)}.")
+TaskNames = Annotated[tuple[str, ...], TASK]
+
+
+def command(
+    run: Callable[[T], int],
+    options: type[T],
+    about: str | None,
+    resumes: bool = False,
+    default: Callable[[Sequence[str]], T] | None = None,
+) -> None:
+    """Run a command with the options of its command line, and leave the process (`errors.run_command`).
+
+    default: see `parsed`.
+    """
+    run_command(lambda: run(parsed(options, sys.argv[1:], about, default)), resumes)
+
+
+def parsed(
+    options: type[T],
+    arguments: Iterable[str],
+    about: str | None,
+    default: Callable[[Sequence[str]], T] | None = None,
+) -> T:
+    """The options of a command line.
+
+    Args:
+        about: the command, for the help. default: what is not said, from the command line (by default the class's own).
+
+    Raises:
+        UserError: a flag has another value than true, false, yes or no; or a value begins with a dash.
+    """
     words = split_arguments(arguments, options)
-    return tyro.cli(options, args=words, description=about, config=(tyro.conf.FlagCreatePairsOff,))
+    usual = default(words) if default else tyro.MISSING_NONPROP
+    config = (tyro.conf.FlagCreatePairsOff,)
+    return tyro.cli(options, args=words, default=usual, description=about, config=config)
 
 
 def split_arguments(arguments: Iterable[str], options: type[Any]) -> list[str]:
-    """`--tasks highway,u-turn`, `--policy A --policy B`, `--unseen` and `--no-unseen` as tyro takes them.
+    """`--tasks highway,u-turn`, `--policy A --policy B`, `--unseen=no` and `--no-unseen` as tyro takes them.
 
-    That is with spaces, each option once, and a flag that may be None with its value.
+    That is with spaces, each option once, and of flags those that are on. Raises as `parsed` does.
     """
     hints = {f"--{name.replace('_', '-')}": hint for name, hint in get_type_hints(options).items()}
-    lists = {
-        name for name, hint in hints.items() if tuple in [get_origin(one) for one in (hint, *get_args(hint))]
-    }
-    values: dict[str, list[str]] = {}
+    lists = {name for name, hint in hints.items() if get_origin(hint) is tuple}
+    flags = {name for name, hint in hints.items() if hint is bool}
+    values: dict[str, list[str]] = {"": []}
+    switched: dict[str, bool] = {}
     name = ""
     for word in arguments:
         if word.startswith("--"):
             name, *given = word.split("=", 1)
             flag = f"--{name.removeprefix('--').removeprefix('no-')}"
-            if bool in get_args(hints.get(flag)):
-                values[flag] = [str(flag == name)]
-                continue
-        else:
-            given = [word] if name not in lists or set("/=") & set(word) else word.split(",")
-        values.setdefault(name, []).extend(given)
-    return [word for name, given in values.items() for word in ([name] if name else []) + given]
+            if flag in flags:
+                switched[flag] = (flag == name) == _switch(name, *given)
+                name = flag
+            else:
+                values.setdefault(name, []).extend(given)
+            continue
+        _check_word(word)
+        if name in flags:  # its value, or an argument behind it
+            if word.lower() in SWITCH:
+                switched[name] = _switch(name, word)
+            else:
+                values[""].append(word)
+            name = ""
+            continue
+        given = [word] if name not in lists or set("/=") & set(word) else word.split(",")
+        values[name].extend(given)
+    found = [word for name, given in values.items() for word in ([name] if name else []) + given]
+    return [*found, *(name for name, is_on in switched.items() if is_on)]
+
+
+def _switch(name: str, word: str = "true") -> bool:
+    """What a flag is set to. Raises UserError for another word than those of SWITCH."""
+    if word.lower() not in SWITCH:
+        raise UserError(f"{name} is true, false, yes or no, not {word!r}")
+    return SWITCH[word.lower()]
+
+
+def _check_word(word: str) -> None:
+    """Raise UserError for a word that begins with a dash and is no number: no option has one letter."""
+    with suppress(ValueError):
+        float(word)
+        return
+    if word.startswith("-") and word != "-h":
+        raise UserError(f"there is no option {word}; a file or folder of this name is written ./{word}")

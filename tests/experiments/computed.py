@@ -8,6 +8,7 @@ from typing import Any
 
 from experiments.study.compute.cell_task import CellTask
 from experiments.study.compute.run import Attempt, attempt
+from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.results.store import Store
 from experiments.sweep import Options
 from tests.experiments.fake_env import make_env
@@ -24,7 +25,8 @@ TINY: dict[str, Any] = {
 def tasks_of(directory: Path, **options: Any) -> list[CellTask]:
     """The cells of a sweep that is tiny but for these options."""
     return [
-        CellTask(cell, directory, make_env) for cell in Options(out=directory, **{**TINY, **options}).cells()
+        CellTask(cell, directory, make_env)
+        for cell in cells_of(of_preset(Options, out=directory, **{**TINY, **options}))
     ]
 
 

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
-import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tyro.conf import Fixed
 
 from agents.learners import LEARNERS
 from agents.rules import DRIVERS
-from experiments import sweep, train
+from experiments import rare, sweep, train
 from experiments.backends import BACKENDS
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import shard
-from experiments.study.design.presets import PRESETS
+from experiments.study.design.presets import PRESETS, asked_preset, cells_of, of_preset
 from experiments.study.design.traffic import ALL
 from experiments.support.arguments import parsed, split_arguments
 from experiments.support.errors import UserError
@@ -28,6 +30,13 @@ from sumo_env.tasks import TASKS
 from tests.processes import ROOT, ended, python_again
 
 WORDS = st.text(max_size=12)
+
+
+def usual(words: Sequence[str]) -> Options:
+    """What sweep.py takes for what its command line does not say."""
+    return of_preset(Options, asked_preset(words))
+
+
 NUMBERS = st.integers(-10, 10**7)
 
 
@@ -41,8 +50,8 @@ ARGUMENTS = {
     "preset": some(PRESETS),
     "tasks": st.lists(some(TASKS), max_size=3).map(tuple),
     "levels": st.lists(some([1, 2, 3, 9, -1, 0], NUMBERS), max_size=3).map(tuple),
-    "seeds": st.none() | st.integers(-3, 30),
-    "episodes": st.none() | NUMBERS,
+    "seeds": st.integers(-3, 30),
+    "episodes": NUMBERS,
     "updates": st.none() | NUMBERS,
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
@@ -68,9 +77,9 @@ ARGUMENTS = {
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(arguments=st.fixed_dictionaries({}, optional=ARGUMENTS))
 def test_arguments_give_cells_or_one_clear_line(arguments):
-    options = Options(**arguments)
     try:
-        cells = options.cells()
+        options = of_preset(Options, **arguments)
+        cells = cells_of(options)
         mine = shard(cells, options.shard)
     except UserError as error:
         assert str(error).strip()
@@ -95,47 +104,58 @@ def test_arguments_give_cells_or_one_clear_line(arguments):
 
 def test_every_argument_that_chooses_cells_is_tried():
     others = {"out", "workers", "executor", "cell", "dry_run"}
-    assert {field.name for field in fields(Options)} - others == set(ARGUMENTS)
+    hidden = {
+        name for name, kind in get_type_hints(Options, include_extras=True).items() if Fixed in get_args(kind)
+    }
+    assert {field.name for field in fields(Options)} - others - hidden == set(ARGUMENTS)
 
 
 def test_the_help_names_all_that_can_be_asked_for(capsys):
     with pytest.raises(SystemExit):
-        tyro.cli(Options, args=["--help"])
+        parsed(Options, ["--help"], "", default=lambda _: of_preset(Options))
     said = set(re.findall(r"[\w-]+", capsys.readouterr().out))
     assert {*PRESETS, *EVERY_ARM, *BACKENDS, *TASKS, *EXECUTORS, *LEARNERS, *DRIVERS} <= said
     assert "--learners" not in said  # presets alone
 
 
-@pytest.mark.parametrize("command", [sweep, train])
-def test_the_examples_of_the_help_ask_for_what_there_is(command):
+@pytest.mark.parametrize(("command", "default"), [(sweep, usual), (train, train.default)])
+def test_the_examples_of_the_help_ask_for_what_there_is(command, default):
     lines = re.findall(rf"experiments/{Path(command.__file__).name}([^#\n]*)", command.__doc__)
     assert lines
     for line in lines:
-        assert parsed(command.Options, line.split(), "").cells()
+        assert cells_of(parsed(command.Options, line.split(), "", default=default))
 
 
 def test_a_repeated_option_adds_values_and_a_comma_separates_them():
     words = ["--policy", "a:make", "--seeds=2", "--policy", "b.zip", "--placebo", "--policy=c"]
     found = split_arguments([*words, "--tasks", "highway,u-turn", "--out", "a,b"], Options)
-    expected = "--policy a:make b.zip c --seeds 2 --placebo True --tasks highway u-turn --out a,b"
+    expected = "--policy a:make b.zip c --seeds 2 --tasks highway u-turn --out a,b --placebo"
     assert found == expected.split()
 
 
 def test_an_option_sets_a_preset_back(monkeypatch):
-    """None is not given; an empty list, a flag's "no" and the default's value are."""
-    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], unseen=True, traffics=("measured",)))
-    given = ["--no-unseen", "--traffics", "--levels", "--arms", "control", "treatment"]
-    found = parsed(Options, given, "").experiment
-    assert (found.unseen, found.traffics, found.levels) == (False, (), ())
-    assert Options().experiment == PRESETS["quick"]
-    assert parsed(Options, ["--frontier"], "").experiment.frontier
+    """An empty list is a value."""
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], traffics=("measured",)))
+    found = parsed(Options, ["--traffics", "--levels", "--arms", "control", "treatment"], "", usual)
+    assert (found.traffics, found.levels, found.arms) == ((), (), ("control", "treatment"))
+    assert parsed(Options, ["--preset", "study"], "", usual) == of_preset(Options, "study")
+
+
+@pytest.mark.parametrize(
+    "no", ["--placebo=False", "--placebo=no", "--placebo no", "--no-placebo", "--no-placebo=yes"]
+)
+def test_a_flag_is_what_is_written(no):
+    for yes in ("--placebo", "--placebo=True", "--placebo yes", "--no-placebo=no", f"{no} --placebo"):
+        assert parsed(Options, yes.split(), "", usual).placebo
+    assert not parsed(Options, no.split(), "", usual).placebo
+    assert split_arguments(["--plain", "a", "--task", "b"], rare.Options) == ["a", "--task", "b", "--plain"]
 
 
 @pytest.mark.slow
 def test_a_wrong_command_line_is_answered_without_a_traceback(tmp_path):
     """From any folder. What cannot be written: study/test_foreign_files.py."""
     with pytest.raises(SystemExit):
-        parsed(Options, ["--seeds", "1.5"], "")
+        parsed(Options, ["--seeds", "1.5"], "", usual)
     result = ended(ROOT / "experiments/sweep.py", "--preset", "quik", cwd=tmp_path)
     assert result.returncode == 2, result
     assert "Traceback" not in result.stderr + result.stdout
@@ -148,6 +168,7 @@ def test_every_command_starts_and_hides_nothing_of_the_standard_library() -> Non
     code = f"""
 import runpy, sys
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 for script in sorted(Path({str(ROOT / "experiments")!r}).glob("*.py")):
     if "__main__" in script.read_text():

@@ -14,8 +14,10 @@ from experiments import rare, report, validate, watch
 from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design import experiment
 from experiments.study.design.levels import choose_levels, choose_tasks
+from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.results.loaded import load
 from experiments.study.results.store import Store
+from experiments.support.arguments import split_arguments
 from experiments.support.errors import UserError
 from experiments.support.films import check_film
 from experiments.sweep import Options, sweep
@@ -66,11 +68,11 @@ RARE: list[tuple[dict[str, Any], str]] = [
 
 
 def smoke(**asked: Any) -> Callable[[], Any]:
-    return lambda: Options(preset="smoke", **asked).cells()
+    return lambda: cells_of(of_preset(Options, "smoke", **asked))
 
 
 def swept(**asked: Any) -> Callable[[], Any]:
-    options = Options(**{"out": Path("results"), **TINY, **asked})
+    options = of_preset(Options, **{"out": Path("results"), **TINY, **asked})
     return lambda: sweep(options, make_env=make_env, check=lambda _: None)
 
 
@@ -103,6 +105,11 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (smoke(test_on=("sumo", "replica")), "--test-on sumo asks for nothing"),
     (smoke(drivers=("planner", "sumo"), backend="replica"), "--drivers sumo asks for nothing"),
     (smoke(placebo=True, arms=("mixed",)), "leave out --arms"),
+    (smoke(seeds=1_000_000), "at most 1,000 seeds"),
+    (smoke(config=('action={"type": "ContinuousAction"}',)), "choose meta-actions"),
+    (swept(cell="nobody", dry_run=True), "of 8 cells begin with 'nobody'"),
+    (lambda: split_arguments(["--placebo=maybe"], Options), "true, false, yes or no, not 'maybe'"),
+    (lambda: split_arguments(["--out", "-x"], Options), "written ./-x"),
     (smoke(tasks=("highway",), backend="replica", traffics=("measured",)), "measured has drivers that replica has not"),
     (lambda: evaluate(None, None, drives("u-turn", 1, [0], ["risk"])), "did you mean 'risky'"),
     # what would fail after the trainings is refused before them

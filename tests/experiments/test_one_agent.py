@@ -39,7 +39,10 @@ def quick_as_smoke(all_here: None) -> Iterator[None]:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with an agent that was hardly trained."""
     directory = tmp_path_factory.mktemp("mine")
-    assert train.train(train.Options(out=directory, arms=("mixed",), updates=60), ["--arms", "mixed"]) == 0
+    assert (
+        train.train(replace(train.default(out=directory), arms=("mixed",), updates=60), ["--arms", "mixed"])
+        == 0
+    )
     return directory
 
 
@@ -116,7 +119,9 @@ def test_an_agent_can_be_published_and_loaded(tmp_path: Path) -> None:
     """With its card, and driving as it did but for its weights' half precision, also where it observes the time."""
     file, settings = tmp_path / "agents.npz", {"intersection": "intersection-10", "u-turn": "u-turn-3"}
     for seeds, task in enumerate(settings, start=1):
-        options = train.Options(tasks=(task,), out=tmp_path, arms=("control",), updates=60, seeds=seeds)
+        options = replace(
+            train.default(out=tmp_path), tasks=(task,), arms=("control",), updates=60, seeds=seeds
+        )
         train.train(options, ["--arms", "control"])
     publish.main(tmp_path, file)
     assert list(agents.cards(file)) == [

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiments import report
+from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.design.sheet import GRID, SHEETS
 from experiments.study.results.loaded import load
 from experiments.sweep import Options, UserError, sweep
@@ -23,21 +24,21 @@ class Own(UTurn):
 
 def test_it_is_in_no_preset() -> None:
     assert "merge" in SHEETS and "merge" not in GRID
-    assert {cell.task for cell in Options(preset="smoke").cells()} == set(GRID)
+    assert {cell.task for cell in cells_of(of_preset(Options, "smoke"))} == set(GRID)
 
 
 def test_a_backend_that_lacks_a_task_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TASKS, "own", Own())
     with pytest.raises(UserError, match="add its sheet"):
-        Options(tasks=("own",)).cells()
+        cells_of(of_preset(Options, tasks=("own",)))
     monkeypatch.setitem(SHEETS, "own", SHEETS["u-turn"])
     for name in ("replica", "highway-env"):
         with pytest.raises(UserError, match=f"the backend {name} has no task own"):
-            Options(tasks=("own",), backend=name).cells()
+            cells_of(of_preset(Options, tasks=("own",), backend=name))
 
 
 def test_it_is_studied_and_decides_nothing(tmp_path: Path, here: None, words_alone: None) -> None:
-    options = Options(out=tmp_path, tasks=("merge",), preset="smoke", seeds=2, updates=40, workers=2)
+    options = of_preset(Options, "smoke", out=tmp_path, tasks=("merge",), seeds=2, updates=40, workers=2)
     assert sweep(options, make_env=make_env, check=lambda _: None) == 0
     analysis = report.analyse(load(tmp_path))
     assert set(analysis.effects["task"]) == {"merge"}

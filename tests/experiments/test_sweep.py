@@ -20,6 +20,7 @@ from experiments.replay import Options as ReplayOptions
 from experiments.replay import replay
 from experiments.study.design.arms import TEST
 from experiments.study.design.experiment import shard
+from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.results.loaded import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
@@ -38,7 +39,7 @@ def no_report():
 
 def run(directory: Path, **options) -> int:
     """The fake environment behaves as no simulator does: nothing is checked."""
-    asked = Options(out=directory, **{**TINY, "workers": 2, **options})
+    asked = of_preset(Options, out=directory, **{**TINY, "workers": 2, **options})
     return sweep(asked, make_env=make_env, check=lambda _: None)
 
 
@@ -52,7 +53,7 @@ def reference(tmp_path_factory):
 
 def test_a_sweep_computes_every_cell_once(reference, capsys):
     results = load(reference)
-    wanted = Options(out=reference, **TINY).cells()
+    wanted = cells_of(of_preset(Options, out=reference, **TINY))
     assert set(results.cells) == {cell.name for cell in wanted} == set(results.expected)
     assert not results.failed
     assert not list((reference / "work").iterdir())
@@ -85,10 +86,10 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
 
 
 def test_a_placebo_trains_control_agents_alone_and_compares_them():
-    cells = Options(placebo=True, **TINY).cells()
+    cells = cells_of(of_preset(Options, placebo=True, **TINY))
     agents = [cell for cell in cells if cell.kind == "agent"]
     assert sorted((cell.arm, cell.seed) for cell in agents) == [("control", seed) for seed in range(4)]
-    usual = {cell.name for cell in Options(**TINY).cells() if cell.arm == "control"}
+    usual = {cell.name for cell in cells_of(of_preset(Options, **TINY)) if cell.arm == "control"}
     assert usual <= {cell.name for cell in agents}
 
 
@@ -253,7 +254,11 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
     assert replayed(tmp_path / "results", "treatment") == 0
 
     def names(file: Path) -> set[str]:
-        return {cell.name for cell in Options(**{**TINY, "network": f"{file}:Mine"}).cells() if cell.arm}
+        return {
+            cell.name
+            for cell in cells_of(of_preset(Options, **{**TINY, "network": f"{file}:Mine"}))
+            if cell.arm
+        }
 
     elsewhere = tmp_path / "other" / "mine.py"
     elsewhere.parent.mkdir()
@@ -320,7 +325,7 @@ def test_a_study_of_another_learner(name, tmp_path, here):
     agents = {name: cell for name, cell in results.cells.items() if cell["key"]["kind"] == "agent"}
     assert {cell["key"]["policy"] for cell in agents.values()} == {learner.rpartition("/")[2]}
     assert all("-guess.py.own-" in name or "-sb3-ppo-" in name for name in agents)
-    assert not set(agents) & {cell.name for cell in Options(**{**TINY, "seeds": 2}).cells()}
+    assert not set(agents) & {cell.name for cell in cells_of(of_preset(Options, **{**TINY, "seeds": 2}))}
     assert {cell["learner"].get("q_bound") for cell in agents.values()} == {None}
     analysis = analyse(results)
     assert len(analysis.gates) == 4

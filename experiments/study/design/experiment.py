@@ -7,7 +7,9 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any, TypeVar
+
+import tyro
 
 from agents.plugins import foreign
 from agents.policies import foreign_policy
@@ -19,54 +21,82 @@ from experiments.study.design.fingerprint import dynamics, learner_name
 from experiments.study.design.levels import choose_levels, choose_tasks, env_config, level_names
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.study.design.training_rules import RULES, TrainingRules
+from experiments.support.arguments import TASK, Flag, argument
 from experiments.support.errors import UserError, check_known, in_words
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 PLANNED = 100  # test episodes of `drivers` in each traffic, at most
 Dynamics = Callable[[str, str], str]
+MOST_SEEDS = 1000  # in an arm: beyond, only listing the cells takes minutes
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
 
-@dataclass(frozen=True)
+T = TypeVar("T")
+Hidden = Annotated[T, tyro.conf.Suppress, tyro.conf.Fixed]  # a preset's alone, no option
+Names = tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """All that an experiment consists of, as a preset (`presets`) and the options of a sweep (`options.Asked`) say.
+    """All that an experiment consists of, and the options of a sweep: a preset (`presets`), and what is changed of it.
+    The text below a field is its help.
 
     learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `TrainingRules`, before
     updates, network, settings and crash_reward, which are the same for all tasks. gate_episodes: episodes in each
-    traffic for the gates. levels: none are all. further_episodes: of a further test in each traffic, at most. lightest:
-    further traffics, for the lightest level alone (of SUMO's drivers on SUMO). at_ends: by task an arm more, for the
-    lightest and the densest level. first_seed, first_scenario: where training seeds and test scenarios begin, so that
-    studies share none. The others are options.
+    traffic for the gates. further_episodes: of a further test in each traffic, at most. lightest: further traffics, for
+    the lightest level alone (of SUMO's drivers on SUMO). at_ends: by task an arm more, for the lightest and the densest
+    level where no arms are named. first_seed, first_scenario: where training seeds and test scenarios begin, so that
+    studies share none.
     """
 
-    preset: str
-    about: str
-    learners: Mapping[str, Mapping[str, Any]]
-    seeds: int
-    episodes: int
-    gate_episodes: int
-    backend: str = "sumo"
-    tasks: tuple[str, ...] = ()
-    levels: tuple[int, ...] = ()
-    arms: tuple[str, ...] = ARMS
-    placebo: bool = False
-    test_on: tuple[str, ...] = ()
-    unseen: bool = False
-    traffics: tuple[str, ...] = ()
-    frontier: bool = False
-    drivers: tuple[str, ...] = ()
-    config: tuple[str, ...] = ()
-    crash_reward: float | None = None
-    learner: str = LEARNER
-    updates: int | None = None
-    settings: tuple[str, ...] = ()
-    network: str | None = None
-    policy: tuple[str, ...] = ()
-    further_episodes: int | None = None
-    lightest: tuple[str, ...] = ()
-    at_ends: Mapping[str, str] = field(default_factory=dict)
-    first_seed: int = 0
-    first_scenario: int = 0
+    preset: Annotated[str, argument("NAME")]
+    """Size: smoke (a minute), quick (10 minutes), study, paper (hours). All defaults below are this one's."""
+    about: Hidden[str]
+    learners: Hidden[Mapping[str, Mapping[str, Any]]]
+    backend: Annotated[str, argument("NAME")] = "sumo"
+    """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
+    tasks: Annotated[Names, TASK] = ()
+    levels: Annotated[tuple[int, ...], argument("LEVEL ...", "all")] = ()
+    """Traffic levels by number; 1 is the lightest."""
+    seeds: Annotated[int, argument("N")]
+    """Training seeds in each arm."""
+    episodes: Annotated[int, argument("N")]
+    """Test episodes in each of the two traffics."""
+    gate_episodes: Hidden[int]
+    updates: Annotated[int | None, argument("N", "by task")] = None
+    """Training budget of an agent in updates, the same for all tasks."""
+    arms: Annotated[Names, argument("ARM ...", "control treatment")] = ()
+    """control, treatment, dose25, dose50, dose75 (tested at these too), mixed, told (mixed, the dose is observed),
+    no-brake, no-cut-in (treatment without these events)."""
+    placebo: Flag = False
+    """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
+    test_on: Annotated[Names, argument("NAME ...")] = ()
+    """Other simulators on which the trained agents are tested as well."""
+    unseen: Flag = False
+    """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
+    traffics: Annotated[Names, argument("NAME ...")] = ()
+    """Further traffics to test in: measured (drivers as published), or any other one by its name."""
+    frontier: Flag = False
+    """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
+    drivers: Annotated[Names, argument("NAME ...")] = ()
+    """Drivers to test as well, in the lightest traffic: planner, clairvoyant, and on SUMO sumo (its own driver)."""
+    config: Annotated[Names, argument("KEY=VALUE ...")] = ()
+    """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
+    crash_reward: Annotated[float | None, argument("X")] = None
+    """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
+    learner: Annotated[str, argument("NAME")] = LEARNER
+    """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
+    settings: Annotated[Names, argument("KEY=VALUE ...", "the learner's")] = ()
+    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/sb3.py)."""
+    network: Annotated[str | None, argument("NAME", "the learner's")] = None
+    """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
+    policy: Annotated[Names, argument("FILE:MAKE ...")] = ()
+    """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
+    further_episodes: Hidden[int | None] = None
+    lightest: Hidden[Names] = ()
+    at_ends: Hidden[Mapping[str, str]] = field(default_factory=dict)
+    first_seed: Hidden[int] = 0
+    first_scenario: Hidden[int] = 0
 
     @in_words()
     def cells(self, dynamics: Dynamics = dynamics, make_env: MakeEnv = make_env) -> list[Cell]:
@@ -144,11 +174,15 @@ class Experiment:
     def _agents(self, common: Cell) -> Iterator[Cell]:
         """The agents of a task and level: every arm of each training seed."""
         seeds, arms = self.seeds, dict.fromkeys(self.arms or ARMS)
-        if common.task in self.at_ends and is_end(common.task, common.level):
+        if not self.arms and common.task in self.at_ends and is_end(common.task, common.level):
             arms[self.at_ends[common.task]] = None
         if seeds < 1:
             raise UserError(f"at least one seed is needed, not {seeds}")
+        if seeds > MOST_SEEDS:
+            raise UserError(f"at most {MOST_SEEDS:,} seeds are trained by one sweep, not {seeds:,}")
         if self.placebo:
+            if self.arms:
+                raise UserError("--placebo trains control agents alone: leave out --arms")
             seeds, arms = max(2 * seeds, PLACEBO_SEEDS), {"control": None}
         check_known("arm", arms, EVERY_ARM)
         for seed in (self.first_seed, self.first_seed + seeds - 1):

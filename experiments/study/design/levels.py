@@ -54,6 +54,12 @@ def env_config(
         common = {**VARIANTS[task].changes, **common}
     task = task_of(task)
     config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
+    action = config["action"]
+    if action["type"] != "DiscreteMetaAction" or action.get("longitudinal", True) is not True:
+        raise UserError(
+            "agents of a study choose meta-actions, SLOWER and FASTER among them, as the drivers do that they are "
+            f"compared with: {action} has others"
+        )
     config = {name: value for name, value in config.items() if name not in FREE}
     return {**config, **({} if backend == "sumo" else HIGHWAY_ENV), **own}
 

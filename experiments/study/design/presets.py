@@ -1,13 +1,21 @@
-"""Named sizes of the experiment. Options override what a preset sets (`options`); the cells say what was used."""
+"""Named sizes of the experiment. A command line changes what a preset sets; the cells say what was used."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, TypeVar
 
-from experiments.study.design.experiment import Experiment
+from experiments.backends import MakeEnv, make_env
+from experiments.study.design.cell import Cell
+from experiments.study.design.experiment import Dynamics, Experiment
+from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.sheet import SHEETS
+from experiments.study.design.traffic import UNSEEN
+from experiments.support.errors import UserError, check_known
 from sumo_env.config import MEASURED
+
+E = TypeVar("E", bound=Experiment)
 
 # Training episodes of an agent in the paper. Budgets are counted in updates, equal for both arms: the number of
 # target copies sets how far an agent looks ahead, and with it its appetite for risk, while equal numbers of episodes
@@ -94,3 +102,45 @@ PRESETS = {
         ),
     )
 }
+
+
+def of_preset(kind: type[E], preset: str = "quick", **changes: Any) -> E:
+    """A preset as an experiment, or as the options of a command, with changes. Raises UserError for an unknown one."""
+    check_known("preset", [preset], PRESETS)
+    return kind(**{**vars(PRESETS[preset]), **changes})
+
+
+def asked_preset(words: Sequence[str]) -> str:
+    """The preset that a command line names, by default quick."""
+    named = [value for option, value in pairwise(words) if option == "--preset"]
+    return named[-1] if named else "quick"
+
+
+def cells_of(asked: Experiment, dynamics: Dynamics = dynamics, make_env: MakeEnv = make_env) -> list[Cell]:
+    """All cells of an experiment. Raises UserError where something does not exist, or asks for nothing."""
+    cells = asked.cells(dynamics, make_env)
+    for option, is_answered in _answers(asked, cells):
+        if not is_answered:
+            raise UserError(f"{option} asks for nothing here: leave it out")
+    return cells
+
+
+def _answers(asked: Experiment, cells: Sequence[Cell]) -> Iterator[tuple[str, bool]]:
+    """What is asked beyond the preset, and whether there is a cell of it."""
+    usual, tests = PRESETS.get(asked.preset), [cell for cell in cells if cell.kind == "test"]
+
+    def named(option: str) -> Sequence[str]:
+        names: tuple[str, ...] = getattr(asked, option)
+        return () if usual and names == getattr(usual, option) else names
+
+    for task in named("tasks"):
+        yield f"--tasks {task}", any(cell.task == task for cell in cells)
+    for name in named("test_on"):
+        yield f"--test-on {name}", any(cell.runs_on == name != cell.backend for cell in tests)
+    for name in named("drivers"):
+        yield f"--drivers {name}", any(cell.policy == name for cell in cells)
+    for name in named("traffics"):
+        of_agents = (cell for cell in tests if cell.runs_on == cell.backend)
+        yield f"--traffics {name}", any(name in cell.tested["traffics"] for cell in of_agents)
+    if asked.unseen:
+        yield "--unseen", any(set(cell.tested["traffics"]) <= set(UNSEEN) for cell in tests)

@@ -6,6 +6,7 @@ import json
 import sys
 from pathlib import Path
 
+from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.results.store import Store
 from experiments.support.errors import run_command
 from experiments.sweep import Options, compute
@@ -15,7 +16,7 @@ from tests.experiments.fake_env import make_env
 def main() -> int:
     """As of experiments/sweep.py."""
     directory = Path(sys.argv[1])
-    cells = Options(**json.loads(sys.argv[2])).cells()
+    cells = cells_of(of_preset(Options, **json.loads(sys.argv[2])))
     Store(directory).write_sweep("sweep", cells)
     return bool(compute(cells, directory, make_env, workers=2))
 

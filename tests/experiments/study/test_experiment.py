@@ -23,7 +23,7 @@ from experiments.study.design.cell import Cell, setting_of_agent
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.fingerprint import known_dynamics
 from experiments.study.design.levels import choose_levels
-from experiments.study.design.options import Asked
+from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import WITHOUT, unseen_traffics
 from experiments.support.errors import UserError
@@ -135,7 +135,7 @@ def test_seeds_of_tests_of_gates_and_of_trainings_are_apart_from_each_other():
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
     def steps(**asked) -> dict[str, int]:
-        found = Asked(backend="replica", levels=(1,), arms=("control",), **asked).cells()
+        found = cells_of(of_preset(Experiment, backend="replica", levels=(1,), arms=("control",), **asked))
         return {cell.task: cell.budget[0] for cell in found if cell.kind == "agent"}
 
     ours = steps(preset="study")
@@ -144,7 +144,7 @@ def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
 
 @pytest.fixture
 def study() -> list[Cell]:
-    return Asked(preset="study").cells()
+    return cells_of(of_preset(Experiment, "study"))
 
 
 def test_the_study_has_seeds_and_scenarios_that_no_other_preset_has(study) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from experiments.study.design.presets import of_preset
 from experiments.study.results import parquet, store
 from experiments.study.results.loaded import load
 from experiments.study.results.store import Store
@@ -62,7 +63,7 @@ def test_a_sweep_goes_on_from_parts_which_are_never_written_again(
     Store(results).pack()
     before = set(load(results).cells)
     parts = {path: (path.stat().st_ino, path.read_bytes()) for path in (results / "parts").iterdir()}
-    options = Options(out=results, **{**TINY, "dry_run": True, "seeds": 2})
+    options = of_preset(Options, out=results, **{**TINY, "dry_run": True, "seeds": 2})
     assert sweep(options, make_env=make_env, check=lambda _: None) == 0
     [row] = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("u-turn")]
     assert row[5] == str(len(before))  # are finished

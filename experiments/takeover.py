@@ -39,22 +39,23 @@ import tyro
 
 from experiments.analysis import takeover as analysis
 from experiments.reporting.tables import chosen
-from experiments.reporting.takeover import table, takeover_figure
+from experiments.reporting.takeover import from_moments, table, takeover_figure
 from experiments.study.compute.batches import driven
 from experiments.study.compute.entrants import entrant_of, several
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, COSTLY, OTHERS, PAIR, WINDOW, Batch, Question
+from experiments.study.design.experiment import assignments
 from experiments.study.design.fingerprint import check_dynamics, dynamics
-from experiments.study.design.levels import level_names
+from experiments.study.design.levels import env_config, level_names, tasks_known
+from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.takeover import films, most_telling
 from experiments.study.results.part import PartFile
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, check_known, writing
+from experiments.support.errors import UserError, check_known, in_words, writing
 from experiments.support.files import plain_json, write_file, write_json
 from experiments.support.films import save_film, side_by_side
 from experiments.support.provenance import provenance
-from sumo_env.tasks import TASKS
 
 BATCH = 10  # scenarios
 AT = ["traffic", "within"]
@@ -74,6 +75,8 @@ class Options:
     """Task that is driven."""
     level: str = ""
     """Its traffic level by name; by default the lightest."""
+    config: Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ..")] = ()
+    """Keys of the environment's configuration that both were trained with (values as in JSON, or plain words)."""
     traffics: tuple[str, ...] = TRAFFICS
     """Traffics by name (docs/traffic-and-risk.md), each answered by itself."""
     scenarios: int = 50
@@ -98,7 +101,7 @@ def called(options: Options) -> dict[str, str]:
 
 def check(options: Options) -> None:
     """Raise UserError for what does not exist or makes no sense."""
-    check_known("task", [options.task], TASKS)
+    check_known("task", [options.task], tasks_known())
     check_known("level", [options.level or level_names(options.task)[0]], level_names(options.task))
     check_known("traffic", options.traffics, ALL)
     check_known("driver of --others", options.others, OTHERS)
@@ -123,8 +126,11 @@ def questions(options: Options) -> list[list[Question]]:
         raise UserError(
             f"the first of A and the first of B are a pair: name as many of both, not {len(a)} and {len(b)}"
         )
-    what = options.task, level, TASKS[options.task].levels[level]
-    does, found = dynamics("sumo", options.task), list[list[Question]]()
+    changes = assignments(options.config, "--config", "policy_frequency=2")
+    with in_words():
+        config = env_config("sumo", options.task, level_names(options.task).index(level) + 1, changes)
+    what = options.task, level, config
+    does, found = dynamics("sumo", task_of(options.task)), list[list[Question]]()
     for pair in zip(a, b, strict=True):
         others = (name for name in options.others if not found or name not in COSTLY)
         drivers = dict(zip(PAIR, pair, strict=True)) | {
@@ -136,7 +142,7 @@ def questions(options: Options) -> list[list[Question]]:
         with closing(first.open()) as env:
             first = replace(first, drivers={name: one.resolved(env) for name, one in drivers.items()})
         found.append([replace(first, traffic=traffic) for traffic in options.traffics])
-    check_dynamics([("sumo", options.task)])
+    check_dynamics([("sumo", task_of(options.task))])
     return found
 
 
@@ -202,6 +208,9 @@ def takeover(options: Options, arguments: Sequence[str]) -> int:
         print(f"\n{at[0]} traffic, IDLE crashes within {at[1]:g} s: ", end="")
         print("; ".join(f"{question}: {claim}" for question, claim in said[at].items()))
         print(table(own, names).to_string(index=False))
+        crashes = from_moments(chosen(frames["rates"], traffic=at[0], within=at[1]), names)
+        if len(crashes):
+            print(f"crashes from the moments [%]:\n{crashes.to_string(index=False)}")
         for row in chosen(frames["own_crashes"], traffic=at[0], within=at[1]).to_dict("records"):
             shares = ", ".join(f"{word} {row[name]:.0%}" for name, word in WHEN.items() if row["crashes"])
             print(f"{row['crashes']} crashes of {names[row['leader']]}, leading{': ' * bool(shares)}{shares}")

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from experiments.analysis.takeover import CAUTION, SKILL
 from experiments.reporting.figures import CONTROL, INK, MUTED, PAPER, TREATMENT, new_figure, styled, to_svg
 from experiments.reporting.tables import MINUS, p_value, plain
-from experiments.study.compute.takeover import PAIR
+from experiments.study.compute.takeover import PAIR, WINDOW
 
 COLOURS = dict(zip(PAIR, (CONTROL, TREATMENT), strict=True))
 SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]
@@ -38,6 +38,18 @@ def table(answers: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
             "of": row["count"],
         })  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def from_moments(rates: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
+    """Who crashes how often from whose moments, in per cent.
+
+    rates: of `analysis.takeover.rates`. names: of "a" and "b".
+    """
+    shown = pd.DataFrame({"driver": rates["driver"].replace(names)})
+    for name, title in (("crashed", f"within {WINDOW:g} s"), ("to_the_end", "to the end")):
+        shown[title] = [plain(100 * value, 1) for value in rates[name]]
+    shown.insert(0, "moments of", rates["leader"].map(names))
+    return shown.assign(moments=rates["moments"])
 
 
 @styled

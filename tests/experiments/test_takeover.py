@@ -45,6 +45,7 @@ def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_pa
     answers = {row["question"]: row for row in found["answers"]}
     danger = (rows["moment"].notna() | rows["sudden"]).groupby(rows["leader"]).mean()
     assert [answers["caution"][name] for name in "ab"] == [danger["a"], danger["b"]]
+    assert found["questions"][0]["config"]["duration"] == 10 and "within 5 s to the end" in said
     assert answers["skill"]["status"] == "too few" and found["claims"][0]["skill"] == "too few"
     assert pd.read_csv(tmp_path / "takeover.csv")["question"].tolist() == [*answers]
     assert "<svg" in (tmp_path / "takeover.svg").read_text()
@@ -78,6 +79,9 @@ def test_a_driver_against_itself_makes_no_difference(tmp_path: Path, capsys) -> 
         ({"scenarios": 0}, "--scenarios is above 0"),
         ({"within": ()}, "--within is"),
         ({"workers": 0}, "--workers is"),
+        ({"config": ("policy_frequency",)}, "--config takes KEY=VALUE"),
+        ({"config": ("target_speeds=3",)}, "it belongs in config"),
+        ({"config": ('action={"type":"DiscreteMetaAction","longitudinal":false}',)}, "IDLE"),
         ({"a": "slower,idle"}, "as many of both, not 2 and 1"),
         ({"a": "planner", "b": "sumo"}, "one of the two has to lead"),
         ({"b": "mine.py:make"}, "mine.py:make cannot make a policy: ValueError: trained for pictures"),

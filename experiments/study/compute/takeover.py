@@ -26,6 +26,7 @@ from experiments.study.compute.run import Heartbeat
 from experiments.study.compute.wrappers import UnseenRisk
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.levels import level_names
+from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import traffic_named
 from experiments.support.errors import UserError
 
@@ -251,8 +252,9 @@ def in_a_copy(driver: Driver, moment: Moment, seed: int, seconds: float) -> floa
 class Question:
     """What is driven, by whom.
 
-    config: of the environment, without the traffic. traffic: by its name in `traffic.ALL`. drivers: by their names in
-    COLUMNS, resolved. bounds: of critical moments [s]. dynamics: what the simulator does, see `fingerprint.dynamics`.
+    task: may be a variant (`sheet.VARIANTS`). config: of the environment, as from `levels.env_config`. traffic: by its
+    name in `traffic.ALL`. drivers: by their names in COLUMNS, resolved. bounds: of critical moments [s]. dynamics: what
+    the simulator does, see `fingerprint.dynamics`.
     """
 
     task: str
@@ -276,7 +278,7 @@ class Question:
 
     def open(self, render_mode: str | None = None, **view: Any) -> Env:
         """An environment of the task and traffic. Raises UserError where it has no action IDLE."""
-        env = make_env("sumo", self.task, {**self.config, **view}, render_mode)
+        env = make_env("sumo", task_of(self.task), {**self.config, **view}, render_mode)
         inner: Any = env.unwrapped
         if IDLE not in inner.actions.values():
             raise UserError(
@@ -287,7 +289,8 @@ class Question:
 
     def reset(self, scenario: int) -> dict[str, Any]:
         """Arguments of the reset that begins a test scenario of the study."""
-        seed = Drive(self.task, level_names(self.task).index(self.level) + 1, self.traffic, scenario).seed
+        task, level = task_of(self.task), level_names(self.task).index(self.level) + 1
+        seed = Drive(task, level, self.traffic, scenario).seed
         return {"seed": seed, "options": traffic_named(self.traffic).options(seed)}
 
     def seed(self, scenario: int) -> int:

@@ -245,7 +245,7 @@ class Experiment:
         if self.learner != LEARNER:  # of the preset's settings, the number of steps is everybody's
             said = {"steps": settings_of(DQNConfig, said, f"the learner {LEARNER}").steps}
         said |= {name: value for name, value in asked.items() if value is not None}
-        said |= _assignments(self.settings, "--settings", "gamma=0.9")
+        said |= assignments(self.settings, "--settings", "gamma=0.9")
         if self._own_network:
             said["network"], files["network_sha256"] = foreign(self._own_network)
         if self._own_learner:
@@ -272,7 +272,7 @@ class Experiment:
     @property
     def _changes(self) -> dict[str, Any]:
         """Of config=("collision_reward=-2", "risk_law=linear")."""
-        return _assignments(self.config, "--config", "collision_reward=-2")
+        return assignments(self.config, "--config", "collision_reward=-2")
 
 
 def _digest_of_policy(source: str, cell: Cell, make_env: MakeEnv) -> str:
@@ -301,7 +301,7 @@ def _tested(agent: Cell, traffics: Iterable[str], most: int | None = None, **whe
     return replace(agent, kind="test", test_on=tests_of(agent, traffics, most, **where))
 
 
-def _assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:
+def assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:
     """The values of an option that takes KEY=VALUE, as in JSON or plain words. Raises UserError for another form."""
     found: dict[str, Any] = {}
     for text in texts:

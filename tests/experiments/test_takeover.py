@@ -81,7 +81,7 @@ def test_a_driver_against_itself_makes_no_difference(tmp_path: Path, capsys) -> 
         ({"workers": 0}, "--workers is"),
         ({"config": ("policy_frequency",)}, "--config takes KEY=VALUE"),
         ({"config": ("target_speeds=3",)}, "it belongs in config"),
-        ({"config": ('action={"type":"DiscreteMetaAction","longitudinal":false}',)}, "IDLE"),
+        ({"config": ('action={"type":"DiscreteMetaAction","longitudinal":false}',)}, "choose meta-actions"),
         ({"a": "slower,idle"}, "as many of both, not 2 and 1"),
         ({"a": "planner", "b": "sumo"}, "one of the two has to lead"),
         ({"b": "mine.py:make"}, "mine.py:make cannot make a policy: ValueError: trained for pictures"),

@@ -28,13 +28,11 @@ from experiments.study.design.arms import stream_seed
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import traffic_named
-from experiments.support.errors import UserError
 
 PAIR = ("a", "b")  # the two drivers that are compared, in the columns of the record
 OTHERS = ("planner", "sumo", "slower", "random")  # who may take over beside them
 COSTLY = ("planner",)  # who takes over from the first pair's moments alone
 BOUNDS = (3.0,)  # [s] within which IDLE crashes at a critical moment
-IDLE = "IDLE"
 WINDOW = 5.0  # [s] after the moment in which crashes count
 # Columns of the record, with their types: a row a pair, leader, scenario and bound.
 COLUMNS: dict[str, str] = {
@@ -181,7 +179,7 @@ class Led(NamedTuple):
 def lead(env: Env, driver: Driver, reset: Mapping[str, Any], seed: int, bounds: Sequence[float]) -> Led:
     """Drive an episode. reset: arguments of `env.reset`. seed: of the driver's own draws."""
     inner: Any = env.unwrapped
-    [idle] = [number for number, name in inner.actions.items() if name == IDLE]
+    [idle] = [number for number, name in inner.actions.items() if name == "IDLE"]
     past: list[Any] = [env.reset(**reset)]
     driver.begin(env, past[0], seed)
     actions: list[int] = []
@@ -277,7 +275,7 @@ class Question:
         return [name for name in PAIR if self.drivers[name].name not in DRIVERS]
 
     def open(self, render_mode: str | None = None, **view: Any) -> Env:
-        """An environment of the task and traffic. Raises UserError where it has no action IDLE."""
+        """An environment of the task and traffic."""
         env = make_env("sumo", task_of(self.task), {**self.config, **view}, render_mode)
         inner: Any = env.unwrapped
         if IDLE not in inner.actions.values():

@@ -27,7 +27,7 @@ class Driven(NamedTuple):
     """A sequence of actions to the end of an episode, and its return."""
 
     value: float
-    actions: tuple[int, ...]
+    actions: str  # a digit each
 
 
 class Found(NamedTuple):
@@ -75,7 +75,7 @@ def search(envs: ReplicaVectorEnv, seed: int, risk: float, width: int = WIDTH) -
             ends = np.flatnonzero(over & (infos["crashed"] == crashed))
             if len(ends) and (before is None or values[ends].max() > before.value):
                 row = ends[values[ends].argmax()]
-                best[crashed] = Driven(float(values[row]), tuple(taken[row].tolist()))
+                best[crashed] = Driven(float(values[row]), "".join(map(str, taken[row])))
         kept = _chosen(np.flatnonzero(~over), values, envs, width, rng)
         values, taken = values[kept], taken[kept]
     return Found(best[False], best[True])

@@ -56,7 +56,7 @@ def test_what_is_found_can_be_driven_and_a_safe_episode_is_never_called_impossib
         for number, risk in product(range(1 if task == "highway" else 2), (0.0, 1.0)):
             found = setting.search(number, risk)
             for one in filter(None, found):
-                again = setting.play(env, Constant(*one.actions), number, risk)
+                again = setting.play(env, Constant(*map(int, one.actions)), number, risk)
                 assert again["return"] == pytest.approx(one.value, abs=1e-9)
                 assert again["crashed"] == (one is found.crashing) and again["length"] == len(one.actions)
             for policy in policies:

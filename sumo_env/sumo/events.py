@@ -35,7 +35,11 @@ from sumo_env.traffic.risk import (
 from sumo_env.traffic.scenario import Scenario
 
 CHANGE_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
+DELAY = 2.0  # [s] that a cut-in waits for a vehicle that stands, or whose edge ends too soon; then it does not come
 PATIENCE = 10.0  # [s] that a vehicle waits for room to come back, before SUMO's lane-change model decides
+REACTION = (
+    1.0  # [s] earlier than it can stop with its type's `decel`, a vehicle stops to surge towards a red light
+)
 EARLY = 1e-9  # [s] rounding of sums of steps
 SQUARE = 50.0  # [m] side of the squares by which vehicles that are near are found
 
@@ -84,15 +88,24 @@ class Moment(NamedTuple):
     change_lane: Callable[..., bool]
 
 
+def stops_for_light(at: Moment) -> bool:
+    """Whether its vehicle has to brake now for the next traffic light: SUMO would stop it at the line at once."""
+    name, of = at.vehicle.name, at.sumo
+    for _, _, distance, letter in of.getNextTLS(name)[:1]:
+        speed = of.getSpeed(name) + at.event.accel * at.dt
+        return letter in "rRuyY" and distance < speed * (speed / (2.0 * of.getDecel(name)) + REACTION)
+    return False
+
+
 class Push(EventKind):
     """Sudden braking, or a surge, which switches SUMO's car following off."""
 
     def pauses(self, at: Moment) -> bool:
-        """A surge pauses while somebody is near straight ahead; a brake never does."""
+        """A surge pauses while somebody is near straight ahead, or a traffic light stops it; a brake never does."""
         if at.event.kind == "brake":
             return False
-        states = at.near(at.event.way + HALF_CORRIDOR)
-        return not free_way(states[at.event.vehicle], states.values(), at.event.way)
+        states, name = at.near(at.event.way + HALF_CORRIDOR), at.vehicle.name
+        return not free_way(states[name], states.values(), at.event.way) or stops_for_light(at)
 
     def command(self, at: Moment) -> None:
         """Change the speed; who brakes does so as hard as the event, or as SUMO would have in the last step."""
@@ -143,6 +156,7 @@ class Events:
             self._tilted.plan((name for name, _ in scenario.lifetimes), scenario.events)
         self._session, self._network, self._road = session, network, road
         self._asks_for_markings = scenario.traffic is not None
+        self._waiting: dict[str, RiskEvent] = {}  # cut-ins that are due but cannot begin yet
         self._changes: dict[str, Change] = {}  # of vehicles whose lanes are commanded
         self._running: dict[str, Running] = {}  # what commands a vehicle, but for cut-ins
         self._states: dict[str, State] = {}  # of all vehicles in this sub-step, once somebody has looked
@@ -151,7 +165,8 @@ class Events:
 
     def act(self, time: float, dt: float) -> None:
         """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
-        if not (self._changes or self._running or (self._coming and self._coming[-1].time <= time + EARLY)):
+        is_due = self._coming and self._coming[-1].time <= time + EARLY
+        if not (is_due or self._waiting or self._changes or self._running):
             return
         self._states = {}
         while self._coming and self._coming[-1].time <= time + EARLY:
@@ -161,9 +176,14 @@ class Events:
                     self._cut_in(event, time)
                 else:
                     self._start(event, time, dt)
-        for commanded in (self._changes, self._running):
-            for name in [name for name in commanded if not self._may_act(name)]:
-                del commanded[name]
+        for name in {*self._waiting, *self._changes, *self._running}:
+            if not self._may_act(name):
+                for commanded in (self._waiting, self._changes, self._running):
+                    commanded.pop(name, None)
+        for name, event in list(self._waiting.items()):
+            del self._waiting[name]
+            if time < event.time + DELAY:
+                self._cut_in(event, time)
         for name, change in [(name, one) for name, one in self._changes.items() if time >= one.end - EARLY]:
             self._go_back(name, change, time)
         for name, running in list(self._running.items()):
@@ -226,7 +246,10 @@ class Events:
     # -- lane changes --------------------------------------------------------------------------------------
 
     def _cut_in(self, event: RiskEvent, time: float) -> None:
-        """Change to a neighbouring lane at once, where there is one with room."""
+        """Change to a neighbouring lane, where there is one with room, as soon as a change may begin."""
+        if not self._may_begin(event.vehicle):
+            self._waiting[event.vehicle] = event
+            return
         oncoming = self._network.road.oncoming  # then the only lane beside is that of oncoming traffic
         for side in (-1,) if oncoming else (event.direction, -event.direction):
             if self._has_room(event.vehicle, side):
@@ -281,12 +304,18 @@ class Events:
         beside = self._network.road.beside((start, end, place), side)
         if beside is None or self._leads_off(name, beside):
             return None
-        fastest = of.getSpeed(name) + of.getAccel(name) * session.lane_change_duration
-        if not self._road[name].may_begin_change(fastest):
+        if not self._may_begin(name):
             return None
         # markings and classes, without which SUMO does not let a vehicle change there
         there, kind = self._network.lanes[beside].id, of.getVehicleClass(name)
         return beside if not self._asks_for_markings or session.may_change(lane, there, kind) else None
+
+    def _may_begin(self, name: str) -> bool:
+        """Whether a vehicle can begin a lane change now: it moves, and its edge goes on until the change is over."""
+        of, takes = self._session.vehicle, self._session.lane_change_duration
+        if not (lane := of.getLaneID(name)) or lane.startswith(":"):
+            return False
+        return self._road[name].may_begin_change(of.getSpeed(name) + of.getAccel(name) * takes / 2.0)
 
     def _leads_off(self, name: str, beside: LaneIndex) -> bool:
         """Whether the lane beside leads along another route than the vehicle's.

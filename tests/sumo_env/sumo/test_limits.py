@@ -115,10 +115,11 @@ class Watch:
             events = -accel + other.event.accel, accel - other.event.accel
             if np.minimum(beyond, events).max() > ROUNDING:
                 self.faults.append(f"{where} {accel} m/s2")
-        elif name != ego:
+        elif name == ego:
+            if self.egos_have_limits and max(beyond) > ROUNDING:
+                self.faults.append(f"{where} {accel} m/s2")
+        elif not of.getTypeID(name).startswith("eidm"):  # SUMO's EIDM may stop at once after a command
             self.excess = np.maximum(self.excess, beyond)
-        elif self.egos_have_limits and max(beyond) > ROUNDING:
-            self.faults.append(f"{where} {accel} m/s2")
 
     def _sideways(self, one: Seen, other: Seen, is_commanded: bool, where: str) -> None:
         moved = aside(one, other)
@@ -178,4 +179,4 @@ def test_on_a_network_of_one_s_own(tmp_path: Path, name: str, takes: float, seed
             for seed in seeds:
                 env.reset(seed=seed, options=OFTEN if risk else None)
                 watch.drive(env)
-    assert watches[0].faults == watches[1].faults == []
+    check(watches)

@@ -6,6 +6,9 @@ No other module sets modes.
 
 from __future__ import annotations
 
+from contextlib import suppress
+from math import inf
+
 from sumo_env.sumo.session import (
     ALL_CHECKS_OFF,
     COMMANDED_LANE_CHANGES,
@@ -141,11 +144,14 @@ class Vehicle:
         if takes == 0.0:
             return False
         lane, position = of.getLaneID(self.name), of.getLanePosition(self.name)
-        standing, factor = (
-            float(of.getParameter(self.name, f"laneChangeModel.lcMaxSpeedLat{key}"))
-            for key in ("Standing", "Factor")
-        )
-        takes = max(takes, lanes.getWidth(lane) / max(standing + factor * fastest, LEAST_SIDEWAYS))
+        sideways = inf  # [m/s]
+        with suppress(*self._session.errors):  # there are models of lane changes without it
+            standing, factor = (
+                float(of.getParameter(self.name, f"laneChangeModel.lcMaxSpeedLat{key}"))
+                for key in ("Standing", "Factor")
+            )
+            sideways = max(standing + factor * fastest, LEAST_SIDEWAYS)
+        takes = max(takes, lanes.getWidth(lane) / sideways)
         is_oncoming = lane.rpartition("_")[0] != of.getRoute(self.name)[of.getRouteIndex(self.name)]
         left = position if is_oncoming else lanes.getLength(lane) - position
         return bool(left < fastest * (takes + self._session.step_length))

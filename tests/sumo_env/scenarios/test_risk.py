@@ -168,7 +168,7 @@ def test_a_kind_without_a_rate_is_an_error() -> None:
 
 def test_nobody_cuts_in_where_a_lorry_is(tmp_path: Path) -> None:
     """Lorries of 16 m crawl nose to tail, and cars pass them in the lane beside."""
-    lorry = '<vType id="lorry" vClass="truck" length="16" maxSpeed="0.2"/>'
+    lorry = '<vType id="lorry" vClass="truck" length="16" maxSpeed="0.05"/>'
     lorries = "".join(
         f'<vehicle id="l{k}" type="lorry" depart="0" departLane="0" departPos="{20 + 19 * k}" departSpeed="0">'
         '<route edges="ab bc"/></vehicle>'

@@ -18,7 +18,7 @@ SEEDS = (0, 1)
 
 
 def check_task(task: Task, config: Mapping[str, Any] | None = None, steps: int = 20) -> None:
-    """Draw scenarios of a task, drive two short episodes on SUMO, and say what is wrong.
+    """Draw scenarios of a task by its defaults and at each level, drive short episodes on SUMO, and say what is wrong.
 
     Beside what every `reset` refuses: a seed repeats its episode; the dose of risk moves no vehicle; vehicles stand on
     lanes of the road, and events are theirs; terms of the reward are finite, are the same ones at every step, and have
@@ -26,18 +26,30 @@ def check_task(task: Task, config: Mapping[str, Any] | None = None, steps: int =
 
     Args:
         task: such as ``Rush()`` in docs/own-parts.md.
-        config: keys that differ from the task's defaults. steps: policy steps of an episode, at most.
+        config: keys that differ from the task's defaults and from its levels. steps: policy steps of an episode, at
+            most.
 
     Raises:
-        ConfigError: what is wrong, a line for each fault. Whatever the task itself raises is not caught.
+        ConfigError: what is wrong, a line for each fault. Whatever the task itself raises is not caught, and has a note
+            that names the level.
     """
     if not isinstance(task, Task):
         raise ConfigError(f"a task is an instance of a subclass of Task, not {task!r}")
-    values = resolve(task.name, task.defaults, config)
-    faults = list(dict.fromkeys(_faults_of_scenarios(task, values)))
-    faults = faults or list(dict.fromkeys(_faults_of_episodes(task, values, steps)))
-    if faults:
-        raise ConfigError("\n  ".join([f"the task {task.name!r} has {len(faults)} fault(s):", *faults]))
+    driven: list[Config] = []
+    for level, own in {"": {}, **task.levels}.items():
+        values = resolve(task.name, task.defaults, own, config)
+        if values in driven:
+            continue
+        driven.append(values)
+        where = f"the task {task.name!r}" + (f" at the level {level!r}" if level else "")
+        try:
+            faults = list(dict.fromkeys(_faults_of_scenarios(task, values)))
+            faults = faults or list(dict.fromkeys(_faults_of_episodes(task, values, steps)))
+        except Exception as error:
+            error.add_note(f"in an episode of {where}")
+            raise
+        if faults:
+            raise ConfigError("\n  ".join([f"{where} has {len(faults)} fault(s):", *faults]))
 
 
 def _faults_of_scenarios(task: Task, config: Config) -> Iterator[str]:

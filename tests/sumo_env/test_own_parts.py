@@ -213,6 +213,20 @@ def test_tasks_without_a_fault_have_none(task: Any) -> None:
     sumo_env.check_task(task, {"risk": 1.0})
 
 
+class Crowded(Highway):
+    """Beyond the road where it is dense."""
+
+    def vehicles(self, config: Any, *arguments: Any) -> list[Any]:
+        first, *others = super().vehicles(config, *arguments)
+        return [first._replace(s=1e6) if config["vehicles_count"] == 150 else first, *others]
+
+
+def test_all_levels_of_a_task_are_driven() -> None:
+    with pytest.raises(ValueError) as error:
+        sumo_env.check_task(Crowded())
+    assert error.value.__notes__ == ["in an episode of the task 'highway' at the level '150'"]
+
+
 class Changing(Highway):
     """A term that comes and goes."""
 

@@ -71,8 +71,8 @@ def save_arrays(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """Read what :func:`save_arrays` wrote.
+def load_arrays(path: str | Path, begins: tuple[str, ...] = ("",)) -> dict[str, np.ndarray]:
+    """Read what :func:`save_arrays` wrote: the arrays whose names begin so, by default all.
 
     Raises DamagedFile when the file is damaged, FileNotFoundError when there is none.
     """
@@ -80,8 +80,8 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
         with open_regular(Path(path)) as file, np.load(file, allow_pickle=False) as archive:
             if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
                 raise ValueError("more than 8 GiB when it is unpacked")
-            # reads to the end: checks every CRC-32; an entry that is no array is bytes
-            return {name: np.asarray(archive[name]) for name in archive.files}
+            # reads each to its end: checks its CRC-32; an entry that is no array is bytes
+            return {name: np.asarray(archive[name]) for name in archive.files if name.startswith(begins)}
     except FileNotFoundError:
         raise
     except Exception as error:  # a damaged archive may end in nearly any of them

@@ -49,7 +49,10 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
 
     Raises FileNotFoundError when the file is not there, DamagedFile when it is damaged.
     """
-    arrays = _arrays(Path(file))
+    return _cards(_arrays(Path(file), CARDS), file)
+
+
+def _cards(arrays: Mapping[str, np.ndarray], file: str | Path) -> dict[str, dict[str, Any]]:
     try:
         found: dict[str, dict[str, Any]] = parsed(str(arrays[CARDS]))
         check(found, dict, CARDS)
@@ -62,7 +65,10 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
 
 def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
     """The card of one agent, see :func:`cards`. Raises ValueError when there is no such agent."""
-    known, wanted = cards(file), f"{setting}/{arm}"
+    return _card(cards(file), f"{setting}/{arm}")
+
+
+def _card(known: Mapping[str, dict[str, Any]], wanted: str) -> dict[str, Any]:
     if wanted not in known:
         raise unknown("agent", wanted, known)
     return known[wanted]
@@ -83,7 +89,9 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     from agents.greedy import Greedy, Timed, with_weights
     from agents.models import NETWORKS, Standardised
 
-    about = card(setting, arm, file)
+    prefix = f"{setting}/{arm}/"
+    arrays = _arrays(Path(file), CARDS, prefix)
+    about = _card(_cards(arrays, file), f"{setting}/{arm}")
     kind = network or NETWORKS.get(about["network"])
     if kind is None:
         raise ValueError(
@@ -91,10 +99,9 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
         )
     space = gym.spaces.Box(-np.inf, np.inf, about["observations"], np.float32)
     inner = Standardised(kind(space, about["actions"]), space)
-    prefix = f"{setting}/{arm}/"
     weights = {
         name.removeprefix(prefix): array.astype(np.float32) if array.dtype.kind == "f" else array
-        for name, array in _arrays(Path(file)).items()
+        for name, array in arrays.items()
         if name.startswith(prefix)
     }
     with_weights(inner, weights, file)
@@ -111,7 +118,7 @@ def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Pat
     save_arrays(file, arrays)
 
 
-def _arrays(file: Path) -> dict[str, np.ndarray]:
+def _arrays(file: Path, *begins: str) -> dict[str, np.ndarray]:
     if not file.exists():
         raise FileNotFoundError(f"no {file}: python -m experiments.study.replaying.publish DIR writes it")
-    return load_arrays(file)
+    return load_arrays(file, begins)

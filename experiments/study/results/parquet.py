@@ -116,7 +116,7 @@ def _state(path: Path) -> tuple[int, int, int]:
     return about.st_ino, about.st_mtime_ns, about.st_size
 
 
-@lru_cache(4096)
+@lru_cache(2**16)  # more than a sweep has cells
 def _records(path: Path, *state: int) -> dict[str, dict[str, Any]]:
     with opened(path) as file:
         text, _ = _metadata(pq.ParquetFile(file))

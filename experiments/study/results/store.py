@@ -12,9 +12,11 @@ DIR/sweep.json             what sweeps have asked for
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +48,13 @@ SWEEPS = "sweep.json"
 BESIDE = {TRAINING: ("training", ".parquet"), WEIGHTS: ("weights", ".npz")}
 
 
+@lru_cache(8)
+def _places(folder: Path, *files: str) -> dict[str, Path]:
+    """The part of each packed cell. A part is written once, so that what is in it follows from its name."""
+    paths = [folder / name for name in files]
+    return {name: path for path in paths for name in asked_of(path, parquet.records, DamagedPart)}
+
+
 class Store:
     """A result directory."""
 
@@ -72,9 +81,14 @@ class Store:
         return self.cells / f"{name}.parquet"
 
     def _packed(self) -> dict[str, Path]:
-        """The part of each packed cell. Raises DamagedPart."""
-        files = sorted(self.parts.glob("*.parquet"))
+        """The part of each packed cell, which can be read. Raises DamagedPart."""
+        files = [self.parts / name for name in self._parts()]
         return {name: path for path in files for name in asked_of(path, parquet.records, DamagedPart)}
+
+    def _parts(self) -> list[str]:
+        """The names of the files of parts."""
+        there = os.listdir(self.parts) if self.parts.is_dir() else []
+        return sorted(name for name in there if name.endswith(".parquet"))
 
     def _find(self, name: str, of: str) -> Any:
         """A cell's part of the "records" or "frames" of the file that it is in. Raises as `record` does."""
@@ -84,7 +98,7 @@ class Store:
             if list(found) != [name]:
                 raise DamagedCell(own, f"its content is that of {', '.join(found)}")
             return found[name]
-        part = self._packed()[name]
+        part = _places(self.parts, *self._parts())[name]
         return asked_of(part, getattr(parquet, of), DamagedPart)[name]
 
     def record(self, name: str) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
@@ -45,8 +44,7 @@ class Experiment:
     updates, network, settings and crash_reward, which are the same for all tasks. gate_episodes: episodes in each
     traffic for the gates. further_episodes: of a further test in each traffic, at most. lightest: further traffics, for
     the lightest level alone (of SUMO's drivers on SUMO). at_ends: by task an arm more, for the lightest and the densest
-    level where no arms are named. first_seed, first_scenario: where training seeds and test scenarios begin, so that
-    studies share none.
+    level where no arms are named.
     """
 
     preset: Annotated[str, argument("NAME")]
@@ -60,8 +58,12 @@ class Experiment:
     """Traffic levels by number; 1 is the lightest."""
     seeds: Annotated[int, argument("N")]
     """Training seeds in each arm."""
+    first_seed: Annotated[int, argument("N")] = 0
+    """Number of the first training seed, so that studies share none."""
     episodes: Annotated[int, argument("N")]
     """Test episodes in each of the two traffics."""
+    first_scenario: Annotated[int, argument("N")] = 0
+    """Number of the first test scenario."""
     gate_episodes: Hidden[int]
     updates: Annotated[int | None, argument("N", "by task")] = None
     """Training budget of an agent in updates, the same for all tasks."""
@@ -81,13 +83,15 @@ class Experiment:
     drivers: Annotated[Names, argument("NAME ...")] = ()
     """Drivers to test as well, in the lightest traffic: planner, clairvoyant, and on SUMO sumo (its own driver)."""
     config: Annotated[Names, argument("KEY=VALUE ...")] = ()
-    """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
+    """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words);
+    observation.features=[...] sets one key of an entry."""
     crash_reward: Annotated[float | None, argument("X")] = None
     """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
     learner: Annotated[str, argument("NAME")] = LEARNER
     """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
     settings: Annotated[Names, argument("KEY=VALUE ...", "the learner's")] = ()
-    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/sb3.py)."""
+    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/sb3.py), and rules of
+    the training, for example training_clock=[15,15] (study/design/training_rules.py)."""
     network: Annotated[str | None, argument("NAME", "the learner's")] = None
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[Names, argument("FILE:MAKE ...")] = ()
@@ -95,8 +99,6 @@ class Experiment:
     further_episodes: Hidden[int | None] = None
     lightest: Hidden[Names] = ()
     at_ends: Hidden[Mapping[str, str]] = field(default_factory=dict)
-    first_seed: Hidden[int] = 0
-    first_scenario: Hidden[int] = 0
 
     @in_words()
     def cells(self, dynamics: Dynamics = dynamics, make_env: MakeEnv = make_env) -> list[Cell]:
@@ -235,17 +237,17 @@ class Experiment:
         from agents.models import network_class
 
         said = {**self.learners[task]}
-        rules = TrainingRules(**{name: said.pop(name) for name in RULES if name in said})
-        if self.crash_reward is not None:
-            if not math.isfinite(self.crash_reward):
-                raise UserError(f"the reward of a crash has to be a finite number, not {self.crash_reward}")
-            rules = replace(rules, crash_reward=self.crash_reward)
+        ruled = {name: said.pop(name) for name in RULES if name in said}
         asked = {"updates": self.updates, "network": self.network}
         files = {}
         if self.learner != LEARNER:  # of the preset's settings, the number of steps is everybody's
             said = {"steps": settings_of(DQNConfig, said, f"the learner {LEARNER}").steps}
         said |= {name: value for name, value in asked.items() if value is not None}
         said |= assignments(self.settings, "--settings", "gamma=0.9")
+        ruled |= {name: said.pop(name) for name in RULES if name in said}
+        if self.crash_reward is not None:
+            ruled["crash_reward"] = self.crash_reward
+        rules = TrainingRules(**ruled)
         if self._own_network:
             said["network"], files["network_sha256"] = foreign(self._own_network)
         if self._own_learner:

@@ -10,7 +10,7 @@ from typing import Any
 
 from experiments.study.design.sheet import GRID, VARIANTS, sheet, task_of
 from experiments.support.errors import UserError, check_known, unknown
-from sumo_env.config import resolve
+from sumo_env.config import TYPES, resolve
 from sumo_env.tasks import TASKS
 
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
@@ -36,7 +36,8 @@ def env_config(
 ) -> dict[str, Any]:
     """The complete configuration of a task at a traffic level, without the dose of risk.
 
-    Defaults are written out, so that a changed default makes other cells. changes: keys that are set to other values.
+    Defaults are written out, so that a changed default makes other cells. changes: keys that are set to other values;
+    "observation.features" is a key of the entry "observation", whose others stay.
 
     Raises:
         UserError: a key of another backend, or that cannot be set. ConfigError: an unknown key or a wrong value.
@@ -53,6 +54,10 @@ def env_config(
     if task in VARIANTS:
         common = {**VARIANTS[task].changes, **common}
     task = task_of(task)
+    for name in [name for name in common if name.partition(".")[0] in TYPES and "." in name]:
+        entry, _, key = name.partition(".")
+        whole = {**TASKS[task].defaults, **common}[entry]
+        common[entry] = {**whole, key: common.pop(name)}
     config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
     action = config["action"]
     if action["type"] != "DiscreteMetaAction" or action.get("longitudinal", True) is not True:

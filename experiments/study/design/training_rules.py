@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -13,13 +14,25 @@ class TrainingRules:
 
     training_clock: episodes of so many seconds (the second number; the first is the same), whose end is terminal.
     time_observed: the share of so many seconds that is over is observed, in the test as well [s]. crash_reward: added
-    to the reward of a crash. dose_observed: the dose of risk is observed, in the test as well.
+    to the reward of a crash. dose_observed: the dose of risk is observed, in the test as well. ValueError for a value
+    that makes no sense.
     """
 
     training_clock: Sequence[int] | None = None
     time_observed: int | None = None
     crash_reward: float = 0.0
     dose_observed: bool = False
+
+    def __post_init__(self) -> None:
+        clock, seen = self.training_clock, self.time_observed
+        if clock is not None and not (
+            isinstance(clock, Sequence) and len({*clock}) == 1 and _is_time(clock[0])
+        ):
+            raise ValueError(f"training_clock must be twice the same whole number of seconds, not {clock!r}")
+        if seen is not None and not _is_time(seen):
+            raise ValueError(f"time_observed must be a whole number of seconds, not {seen!r}")
+        if not math.isfinite(self.crash_reward):
+            raise ValueError(f"the reward of a crash has to be a finite number, not {self.crash_reward}")
 
     @classmethod
     def of(cls, profile: Mapping[str, Any]) -> TrainingRules:
@@ -36,6 +49,10 @@ class TrainingRules:
     def duration(self) -> dict[str, int]:
         """What differs in the configuration of a training's environment."""
         return {"duration": self.training_clock[1]} if self.training_clock else {}
+
+
+def _is_time(value: Any) -> bool:
+    return type(value) is int and value > 0
 
 
 RULES = tuple(field.name for field in fields(TrainingRules))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,33 @@ def test_another_study_has_other_seeds_and_scenarios():
     starts = [{c.eval["first_scenario"] for c in part} for part in (first, second)]
     assert starts == [{0}, {1000}]
     assert not {c.name for c in first} & {c.name for c in second}
+
+
+def test_options_set_one_key_of_an_entry_and_rules_of_the_training():
+    """The other keys of the entry are the task's, whatever the order; null ends a rule of the preset."""
+    features = ["presence", "x", "y", "dx", "tcpa"]
+    asked = of_preset(
+        Experiment,
+        tasks=("two-way", "roundabout"),
+        levels=(1,),
+        first_seed=900,
+        first_scenario=90000,
+        config=("action.target_speeds=[10,20,30]", f"observation.features={json.dumps(features)}"),
+        settings=("n_steps=3", "training_clock=[20,20]", "time_observed=20", "horizon=20"),
+    )
+    agents = {cell.task: cell for cell in cells_of(asked) if cell.kind == "agent"}
+    for task, cell in agents.items():
+        usual, found = TASKS[task].defaults, cell.env_config
+        assert found["observation"] == {**usual["observation"], "features": features}
+        assert found["action"] == {**usual["action"], "target_speeds": [10, 20, 30]}
+        of_rules = {"training_clock": [20, 20], "time_observed": 20, "horizon": 20, "n_steps": 3}
+        assert cell.profile.items() >= of_rules.items()
+        assert cell.seed >= 900 and cell.eval["first_scenario"] == 90000
+    ended = cells_of(replace(asked, settings=("training_clock=null", "time_observed=null")))
+    assert not any({"training_clock", "time_observed"} & {*cell.profile} for cell in ended)
+    for setting in ("training_clock=20", "training_clock=[13,15]", "time_observed=1.5"):
+        with pytest.raises(UserError, match=setting.partition("=")[0]):
+            cells_of(replace(asked, settings=(setting,)))
 
 
 def test_the_name_follows_everything_that_changes_the_result_and_no_label():

@@ -16,10 +16,10 @@ from sumo_env.scene import MAX_SPEED
 APPROACH = ("dx", "dy", "dvx", "dvy", "distance", "tcpa", "dcpa")
 HORIZON = 6.0  # [s] looked ahead
 STILL = 0.5  # [m/s] relative speeds far below count as none: without it the time of a follower would jump
-# Where a configuration gives none. Narrow, since what decides is near: the columns x and y show what is further away.
+# Where a configuration gives none. Places are not clipped nearer than the roads of a crossing reach.
 RANGES = {
-    "dx": (-25.0, 25.0),
-    "dy": (-25.0, 25.0),
+    "dx": (-100.0, 100.0),
+    "dy": (-100.0, 100.0),
     "dvx": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
     "dvy": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
     "distance": (0.0, 50.0),

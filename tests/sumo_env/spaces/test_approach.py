@@ -146,8 +146,8 @@ def test_they_are_scaled_as_other_features_with_ranges_of_their_own() -> None:
     seen = ["presence", "dx", "tcpa"]
     usual = Kinematics({"features": seen}, 1)
     assert usual.ranges.items() >= {"dx": RANGES["dx"], "tcpa": RANGES["tcpa"]}.items()
-    given = Kinematics({"features": seen, "features_range": {"dx": [-100, 100]}}, 1)
-    assert given.ranges == {"dx": (-100.0, 100.0), "tcpa": RANGES["tcpa"]}
+    given = Kinematics({"features": seen, "features_range": {"dx": [-30, 30]}}, 1)
+    assert given.ranges == {"dx": (-30.0, 30.0), "tcpa": RANGES["tcpa"]}
     assert not {*APPROACH} & {*Kinematics({}, 1).ranges}
     with pytest.raises(ConfigError, match="did you mean 'dcpa'"):
         Kinematics({"features": ["dcpq"]}, 1)

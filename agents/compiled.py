@@ -46,8 +46,8 @@ class ByHand:
         max_norm: float,
         rate: float,
         tau: float,
-    ) -> tuple[float, int]:
-        """One update, see `DQN.update`; returns the loss, and how many goals were beyond the limits.
+    ) -> tuple[float, np.ndarray]:
+        """One update, see `DQN.update`; returns the loss, and the goals before they were clipped.
 
         adam: its state as torch keeps it, empty in the beginning. limits: of the goals (n,), None for none.
         """
@@ -57,11 +57,9 @@ class ByHand:
         # one pass of the online network over both observations
         q = self.online(np.concatenate([observations, after]))
         value = self.target(after)[rows, q[count:].argmax(1)]
-        goal, clipped = rewards + discounts * value, 0
-        if limits is not None:
-            free, goal = goal, goal.clip(*(limit.numpy() for limit in limits))
-            clipped = int((goal != free).sum())
-        error = q[rows, actions] - goal
+        goals = rewards + discounts * value
+        within = goals if limits is None else goals.clip(*(limit.numpy() for limit in limits))
+        error = q[rows, actions] - within
         gradient = np.zeros_like(q[:count])
         gradient[rows, actions] = 2 / count * error
         self.online.backward(gradient)
@@ -74,7 +72,7 @@ class ByHand:
         descend(self._weights, self._gradient, mean, square, float(adam["step"]), rate, max_norm)
         if tau:
             approach(self._target_weights, self._weights, tau)
-        return float(np.square(error).mean()), clipped
+        return float(np.square(error).mean()), goals
 
 
 class Compiled(Greedy):

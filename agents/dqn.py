@@ -106,7 +106,7 @@ class DQN:
 
     Its weights, exploration and batches depend on ``seed`` and on what it is shown, and on nothing else; torch's global
     generator is seeded for networks that draw from it. ``network``: overrides the one that the config names.
-    ``clipped``: how many goals of updates so far were beyond the bounds.
+    ``clipped``: how many goals of updates so far were beyond the bounds of a whole episode.
 
     Raises ValueError for a negative seed, and for spaces that a DQN cannot handle.
     """
@@ -193,6 +193,11 @@ class DQN:
         least, most = self.bounds(batch.left)
         return least.float(), most.float()
 
+    def _count(self, goals: Tensor) -> None:
+        """Note goals as only diverging values make them: near a time limit, noise alone exceeds a goal's own limit."""
+        least, most = self.bounds(self.horizon)
+        self.clipped += self.config.clip_goals * int(((goals < least) | (goals > most)).sum())
+
     def update(self) -> Tensor:
         """One gradient step on a batch from the replay, then a move of the target network.
 
@@ -205,8 +210,8 @@ class DQN:
         tau = config.tau if self.updates % config.target_interval == 0 else 0.0
         if self._by_hand:
             adam, limits = self._optimizer.state[self._weights], self._limits(batch)
-            loss, clipped = self._by_hand.update(batch, adam, limits, config.max_grad_norm, rate, tau)
-            self.clipped += clipped
+            loss, goals = self._by_hand.update(batch, adam, limits, config.max_grad_norm, rate, tau)
+            self._count(torch.from_numpy(goals))
             return torch.tensor(loss)
         return self._update(batch, rate, tau)
 
@@ -231,9 +236,9 @@ class DQN:
             chosen = self.online(batch.next_observations).argmax(1, keepdim=True)
             value = self.target(batch.next_observations).gather(1, chosen).squeeze(1)
             goal = batch.rewards + batch.discounts * value
+            self._count(goal)
             if limits := self._limits(batch):
-                free, goal = goal, goal.clamp(*limits)
-                self.clipped += int((goal != free).sum())
+                goal = goal.clamp(*limits)
 
         # Squared error, never Huber's with delta 1: at gamma .99 that prices a crash at one step of reward.
         q = self.online(batch.observations).gather(1, batch.actions[:, None]).squeeze(1)

@@ -141,30 +141,34 @@ def test_goals_of_several_steps_end_at_random_actions_and_at_ends(n_steps: int) 
     assert lengths == {*range(1, n_steps + 1)}
 
 
+@pytest.mark.parametrize("value", [50.0, 1.0])
 @pytest.mark.parametrize("by_hand", [False, True])
-def test_goals_are_clipped_to_what_the_time_left_allows(by_hand: bool) -> None:
-    """Each at its own limit: rewards of at most .3 in the steps from its observation to the horizon."""
+def test_goals_are_clipped_to_what_the_time_left_allows(by_hand: bool, value: float) -> None:
+    """Each at its own limit: rewards of at most .3 in the steps from its observation to the horizon.
+
+    Counted are those that exceed what a whole episode allows.
+    """
     horizon = 6
-    config = dataclasses.replace(SMALL, tau=0.05, clip_goals=True, horizon=horizon, batch_size=64)
-    agent = attentive(config) if by_hand else make(config, inputs=INPUTS)
+    config = dataclasses.replace(SMALL, tau=0.05, horizon=horizon, batch_size=64)
+    agent = attentive(dataclasses.replace(config, horizon=0)) if by_hand else make(config)
+    agent.config, agent.horizon, agent.replay.added = config, horizon, 0
     generator = np.random.default_rng(0)
-    shape = agent.replay.arrays["observations"].shape[1:]
-    agent.replay.added = 0
     for _ in range(30):
-        seen = generator.uniform(-1, 1, (horizon + 1, *shape))
-        episode = [Step(seen[k], 0, 0.3, seen[k + 1], k == horizon - 1) for k in range(horizon)]
-        agent.remember(episode)
+        seen = generator.uniform(-1, 1, (horizon + 1, *agent.replay.arrays["observations"].shape[1:]))
+        agent.remember([Step(seen[k], 0, 0.3, seen[k + 1], k == horizon - 1) for k in range(horizon)])
     inner: Any = agent.target.network
-    (inner.decision if by_hand else inner).value[-1].bias.data += 50.0
-    batch = agent.replay.sample(copy.deepcopy(agent._sampling), config.batch_size)
-    limits = 0.3 * (1 - config.gamma ** batch.left.numpy()) / (1 - config.gamma)
-    assert limits == pytest.approx(
-        np.array([sum(0.3 * config.gamma**k for k in range(int(n))) for n in batch.left])
-    )
-    q = agent.q(batch.observations.numpy())[np.arange(64), batch.actions]
-    goals = np.where(batch.discounts == 0.0, 0.3, limits)  # all others are far beyond
-    assert agent.update().item() == pytest.approx(np.square(q - goals).mean(), rel=1e-3)
-    assert agent.clipped == int((batch.discounts > 0.0).sum()) > 30
+    before = agent.target(torch.from_numpy(agent.replay.first(100))).mean().item()
+    (inner.decision if by_hand else inner).value[-1].bias.data += value - before
+    batch, rows = agent.replay.sample(copy.deepcopy(agent._sampling), config.batch_size), np.arange(64)
+    chosen = agent.q(batch.next_observations.numpy()).argmax(1)
+    with torch.no_grad():
+        free = 0.3 + batch.discounts.numpy() * agent.target(batch.next_observations).numpy()[rows, chosen]
+    limits = [sum(0.3 * config.gamma**k for k in range(int(left))) for left in batch.left]
+    error = agent.q(batch.observations.numpy())[rows, batch.actions] - np.minimum(free, limits)
+    assert agent.update().item() == pytest.approx(np.square(error).mean(), rel=1e-3)
+    beyond, beyond_all = (int((free > most + 1e-6).sum()) for most in (np.array(limits), max(limits)))
+    assert agent.clipped == beyond_all
+    assert beyond_all < beyond if value == 1.0 else beyond_all == beyond > 30
 
 
 @pytest.mark.parametrize(("length", "crashes"), [(6, False), (7, True)])

@@ -51,7 +51,9 @@ ARGUMENTS = {
     "tasks": st.lists(some(TASKS), max_size=3).map(tuple),
     "levels": st.lists(some([1, 2, 3, 9, -1, 0], NUMBERS), max_size=3).map(tuple),
     "seeds": st.integers(-3, 30),
+    "first_seed": NUMBERS,
     "episodes": NUMBERS,
+    "first_scenario": NUMBERS,
     "updates": st.none() | NUMBERS,
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
@@ -59,7 +61,19 @@ ARGUMENTS = {
     "traffics": st.lists(some(ALL), max_size=2).map(tuple),
     "learner": some([*LEARNERS, "none.py:learner"]),
     "settings": st.lists(
-        some(["gamma=0.9", "gamma=NaN", "device=cpu", "gama=1", "=", "n_steps=8"]), max_size=2
+        some(
+            [
+                "gamma=0.9",
+                "gamma=NaN",
+                "device=cpu",
+                "gama=1",
+                "=",
+                "n_steps=8",
+                "training_clock=[15,15]",
+                "training_clock=7",
+            ]
+        ),
+        max_size=2,
     ).map(tuple),
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
@@ -68,7 +82,18 @@ ARGUMENTS = {
     "placebo": st.booleans(),
     "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),
     "config": st.lists(
-        some(["collision_reward=-2", "risk_law=linear", "none=1", "=", "duration"]), max_size=2
+        some(
+            [
+                "collision_reward=-2",
+                "risk_law=linear",
+                "none=1",
+                "=",
+                "duration",
+                "action.target_speeds=[5,9]",
+                "action.x=1",
+            ]
+        ),
+        max_size=2,
     ).map(tuple),
     "shard": some(["1/1", "2/3", "3/2", "0/1", "1/0", "²/³", "1/2/3"]),
 }

@@ -51,6 +51,7 @@ CELLS: list[tuple[dict[str, Any], str]] = [
     ({"settings": ("gama=0.9",)}, "'gama' of the learner dqn"),
     ({"learners": {"highway": {"wam_up": 5}}}, "did you mean 'warm_up'"),
     ({"settings": ("gamma",)}, "--settings takes KEY=VALUE"),
+    ({"first_scenario": -1}, "the number of a scenario is from 0"),
 ]
 
 

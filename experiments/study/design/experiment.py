@@ -142,6 +142,10 @@ class Experiment:
         """What the cells of a task and level have in common, as a baseline without a policy."""
         if self.episodes < 1:
             raise UserError(f"at least one test episode is needed, not {self.episodes}")
+        if self.first_scenario not in NUMBERED:
+            raise UserError(
+                f"the number of a scenario is from 0 to {NUMBERED[-1]}, not {self.first_scenario}"
+            )
         return Cell(
             kind="baseline",
             backend=self.backend,

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from agents.greedy import Greedy
 from agents.kernels import BASE, EGO, OTHERS, PARTS, WIDTH, Pass, approach, backward, descend, forward
-from agents.models import EgoAttention, Standardised, flatten
+from agents.models import HEADS, EgoAttention, Standardised, flatten
 from agents.replay_memory import Batch
 
 
@@ -117,7 +117,6 @@ class Passes:
         self._own = tuple(
             part.numpy() for part in (weights.detach(), weights.grad, module.mean, module.deviation)
         )
-        self._heads = network.heads
         self._kept: dict[int, Pass] = {}  # by the number of observations
         self._last: Pass
 
@@ -149,10 +148,10 @@ class Passes:
             (sizes[-1],),
             (n, features),
             (n * (vehicles - 1), features),
-            (n, self._heads * width),
+            (n, HEADS * width),
             (n, width),
             (n, vehicles, width),
-            (n, self._heads, vehicles),
+            (n, HEADS, vehicles),
         )
         empty = [np.empty(shape, self._own[0].dtype) for shape in shapes]
         arrays: list[np.ndarray] = [*self._own, layers, self._starts, *empty]

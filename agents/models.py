@@ -22,6 +22,7 @@ Network = Callable[[gym.spaces.Box, int], nn.Module]
 
 HIDDEN = (256, 192, 128)  # widths of the shared layers in the paper
 STREAM = (128, 128)  # hidden widths of the value stream and of the advantage stream in the paper
+WIDTH, HEADS = 64, 2  # of the attention
 CONSTANT = 1e-6  # an input with a smaller standard deviation counts as constant
 
 
@@ -78,15 +79,14 @@ class EgoAttention(nn.Module):
     Raises ValueError for observations that are not (vehicles, features).
     """
 
-    def __init__(self, space: gym.spaces.Box, actions: int, width: int = 64, heads: int = 2) -> None:
+    def __init__(self, space: gym.spaces.Box, actions: int, width: int = WIDTH) -> None:
         super().__init__()
         if len(space.shape) != 2:
             raise ValueError(f"Attention needs observations (vehicles, features), got shape {space.shape}")
-        self.heads = heads
         self.ego = layers((space.shape[1], width, width))
         self.others = layers((space.shape[1], width, width))
-        self.query = nn.Linear(width, heads * width, bias=False)
-        self.output = nn.Linear(heads * width, width, bias=False)
+        self.query = nn.Linear(width, HEADS * width, bias=False)
+        self.output = nn.Linear(HEADS * width, width, bias=False)
         self.decision = Dueling(width, actions, HIDDEN[1:])
 
     def forward(self, x: Tensor) -> Tensor:
@@ -103,7 +103,7 @@ class EgoAttention(nn.Module):
         """The ego's code, those of all vehicles, and the weights of each of them (batch, heads, vehicles)."""
         ego = self.ego(x[:, 0])
         vehicles = torch.cat([ego[:, None], self.others(x[:, 1:])], 1)
-        query = self.query(ego).unflatten(1, (self.heads, -1))
+        query = self.query(ego).unflatten(1, (HEADS, -1))
         scores = query @ vehicles.transpose(1, 2) / math.sqrt(vehicles.shape[2])
         absent = (x == 0).all(2)
         absent[:, 0] = False  # the ego is always there

@@ -14,7 +14,7 @@ from torch import nn
 from agents.episodes import Episodes
 from agents.greedy import Greedy
 from agents.learner import MakeEnv, Trained, check_numbers
-from agents.models import EgoAttention
+from agents.models import WIDTH, EgoAttention
 
 LEARNERS_OWN = {"steps", "hidden", "layers"}  # settings that are no arguments of the algorithm
 
@@ -77,14 +77,14 @@ class Attention(nn.Module):
     What a policy sees does not depend on the order of the other vehicles.
     """
 
-    def __init__(self, space: gym.spaces.Box, width: int = 64) -> None:
+    def __init__(self, space: gym.spaces.Box) -> None:
         super().__init__()
-        self.features_dim = width  # Stable-Baselines3 asks for it
-        self.network = EgoAttention(space, 1, width)
+        self.features_dim = WIDTH  # Stable-Baselines3 asks for it
+        self.network = EgoAttention(space, 1)
         self.network.decision.requires_grad_(False)  # the policy decides
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Features (batch, width) of observations (batch, vehicles, features)."""
+        """Features (batch, WIDTH) of observations (batch, vehicles, features)."""
         return self.network.features(x)
 
 

@@ -15,6 +15,7 @@ from experiments.reporting.tables import BACKENDS, NONE, chosen, effect, points,
 from experiments.study.design.traffic import TRAFFICS
 
 WITHOUT_EVENTS = "only-parameters"
+HOPELESS = 0.8  # crash rate of the best rule in regular traffic
 
 
 def places(analysis: Analysis, backend: str) -> dict[tuple[str, str], str]:
@@ -109,15 +110,15 @@ def difference(analysis: Analysis, backend: str, task: str, traffic: str) -> str
     return text + r"\*" * (row["low"] * row["high"] > 0)
 
 
-def hopeless(analysis: Analysis, backend: str, least: float = 0.8) -> dict[str, float]:
-    """Settings in which every driver that does not learn crashes in at least this share of the regular episodes.
+def hopeless(analysis: Analysis, backend: str) -> dict[str, float]:
+    """Settings in which every driver that does not learn crashes in at least HOPELESS of the regular episodes.
 
     Returns:
         The smallest share, by setting.
     """
     rows = with_setting(chosen(analysis.policies, backend=backend, arm="", traffic="regular"))
     smallest = rows.groupby("setting", sort=False)["crashed"].min()
-    return {str(name): float(share) for name, share in smallest[smallest >= least].items()}
+    return {str(name): float(share) for name, share in smallest[smallest >= HOPELESS].items()}
 
 
 def failing(gates: pd.DataFrame, least: float = 2 / 3) -> dict[str, Any]:

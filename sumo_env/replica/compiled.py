@@ -20,7 +20,7 @@ import numpy as np
 
 from sumo_env.contacts import measures, rectangles
 from sumo_env.spaces import approach
-from sumo_env.tasks import TASKS, base, two_way
+from sumo_env.tasks import TASKS, base
 
 try:
     import numba
@@ -130,7 +130,6 @@ _BENEATH = (
     rectangles.corner_distance,
     approach.approach,
     base.lmap,
-    two_way.column,
 )
 for _function in _BENEATH:  # plain Python, which functions call that kernels call
     register_jitable(_function)

@@ -61,8 +61,6 @@ NAMES = {
     (False, False): {0: "IDLE"},
 }
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
-# The most careful first: braking, staying as one is, keeping to the right, hurrying, and overtaking.
-CAUTION = ("SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT")
 
 
 @dataclass(frozen=True)
@@ -85,11 +83,6 @@ class DiscreteMetaAction:
     def space(self) -> spaces.Discrete:
         """The action space."""
         return spaces.Discrete(len(self.names))
-
-    @property
-    def by_caution(self) -> tuple[int, ...]:
-        """Its actions, the most careful first."""
-        return tuple(sorted(self.names, key=lambda action: CAUTION.index(self.names[action])))
 
     def command(self, action: Any, now: Situation) -> EgoCommand:
         """The target speed and target lane after a meta-action; ValueError if there is no such one."""

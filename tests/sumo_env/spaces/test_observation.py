@@ -17,8 +17,6 @@ from sumo_env.config import resolve
 from sumo_env.networks.roads import highway
 from sumo_env.scene import Place
 from sumo_env.spaces.actions import (
-    NAMES,
-    DiscreteMetaAction,
     Situation,
     lane_beside,
     target_lane,
@@ -189,11 +187,3 @@ def test_where_sumo_says_what_may_be_done_a_target_lane_of_another_road_is_the_p
         ("LANE_RIGHT", ("a", "b", 0), ("b", "c", 1)),  # which is not allowed
     ):
         assert lane_beside(name, place, before) == after
-
-
-@pytest.mark.parametrize("names", NAMES.values())
-def test_actions_are_known_by_caution(names: dict[int, str]) -> None:
-    ordered = [names[action] for action in DiscreteMetaAction(names, SPEEDS).by_caution]
-    assert ordered == [
-        name for name in ("SLOWER", "IDLE", "LANE_RIGHT", "FASTER", "LANE_LEFT") if name in names.values()
-    ]

@@ -292,9 +292,3 @@ def test_the_figure_of_the_study_is_what_its_episodes_make() -> None:
     assert list(map(float, number.findall(then))) == pytest.approx(
         list(map(float, number.findall(now))), abs=0.01
     )
-
-
-def test_the_table_of_all_folders_names_each_published_one() -> None:
-    rows = table(section(TEXTS[ROOT / "docs" / "earlier-studies.md"], "All folders"))
-    published = (path.parent.name for path in (ROOT / "results").glob("*/PUBLISHED.md"))
-    assert sorted(rows) == sorted(f"results/{name}" for name in published)

@@ -116,7 +116,8 @@ def study() -> Any:
 
 def speed_figure() -> str:
     """Crashes against speed of everybody in each task's lightest traffic."""
-    return alone(crashes_against_speed(drivers(chosen(episodes(), level=1), [*BESIDE])))
+    shown = chosen(episodes(), level=1, arm=[*ARMS, *BESIDE])
+    return alone(crashes_against_speed(drivers(shown), "study"))
 
 
 def row(frame: str, **wanted: Any) -> dict[str, Any]:

@@ -13,9 +13,10 @@ from scipy.stats import binom
 
 from agents.rules import POLICIES
 from experiments.analysis import plan as plans
-from experiments.analysis.by_task import OWN, by_task
+from experiments.analysis.by_task import COLUMNS, OWN, SURROGATES, by_task
 from experiments.analysis.claims import claims, primary
 from experiments.analysis.comparable import comparable, incomplete, leave_out, main_cells, unfinished
+from experiments.analysis.drivers import drivers
 from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
@@ -46,7 +47,7 @@ class Analysis:
     `plan.as_data`. notes: missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their
     reasons, and stage, the last one of the plan that is complete. primary: see `claims.primary`. learner (see
     `gates.learner_checks`): empty where the plan does not ask for it. frontier: see `frontier.to_frontier`. by_task:
-    see `by_task.by_task`.
+    see `by_task.by_task`. drivers: see `drivers.drivers`.
     """
 
     effects: pd.DataFrame
@@ -64,6 +65,7 @@ class Analysis:
     learner: pd.DataFrame
     frontier: pd.DataFrame
     by_task: pd.DataFrame
+    drivers: pd.DataFrame
 
 
 def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analysis:
@@ -85,7 +87,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         lacking = "; ".join(f"{setting}: {reason}" for setting, reason in early.items())
         raise UserError(f"no setting is complete yet ({lacking}): run the sweep again to go on")
     outcomes = {**OUTCOMES, **(own or {})}
-    episodes = with_outcomes(known, {**OWN, **outcomes})
+    episodes = with_outcomes(known, {**OWN, **SURROGATES, **outcomes})
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
     stage, counted = plans.reached(plan, own_agents(known.table))
@@ -127,7 +129,8 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         primary=primary(mean[0], counted),
         learner=learner_checks(known.cells, passed, agents, plan),
         frontier=to_frontier(episodes),
-        by_task=by_task(episodes, counted),
+        by_task=by_task(episodes, counted, {**COLUMNS, **SURROGATES}),
+        drivers=drivers(at_home(episodes)),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,19 +16,20 @@ from experiments.study.results.loaded import SETTING
 SHOWN = ("crashed", "mean_speed")
 
 
-def drivers(episodes: pd.DataFrame, policies: Sequence[str]) -> pd.DataFrame:
+def drivers(episodes: pd.DataFrame) -> pd.DataFrame:
     """Crash rate and speed of the agents of each arm, and of policies that do not learn, in regular and risky traffic.
 
     Args:
-        episodes: tests at home, as from `scores.with_outcomes`. policies: those without training that are shown.
+        episodes: as from `scores.with_outcomes`.
 
     Returns:
         A row a SETTING, driver (an arm, or a policy) and traffic: crashed and mean_speed [m/s], and the ends of their
         95 % intervals over agents and scenarios, "crashed_low" and so on; NaN for one agent or a policy.
     """
-    rules = episodes[(episodes["kind"] == "baseline") & episodes["policy"].isin([*policies])]
+    rules = episodes[episodes["kind"] == "baseline"]
     agents = episodes[episodes["kind"] == "agent"]
     everybody = pd.concat([agents, rules.assign(arm=rules["policy"], seed=0)])
+    ends = [f"{name}{end}" for name in SHOWN for end in ("", "_low", "_high")]
     rows: list[dict[str, Any]] = []
     for setting, arms in arms_of(everybody, SHOWN).items():
         for driver, outcomes in arms.items():
@@ -38,7 +38,7 @@ def drivers(episodes: pd.DataFrame, policies: Sequence[str]) -> pd.DataFrame:
                 for name in SHOWN:
                     row |= _with_ends(name, outcomes[name][place])
                 rows.append(row)
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=[*SETTING, "driver", "traffic", *ends])
 
 
 def _with_ends(name: str, scores: estimate.Scores) -> dict[str, float]:

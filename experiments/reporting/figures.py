@@ -23,7 +23,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
-from experiments.analysis.frontier import RULES, lower_hull
 from experiments.analysis.plan import ALPHA
 from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting.tables import MINUS
@@ -182,34 +181,6 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
     return to_svg(figure, f"{backend}-traffic", "Crash rate against traffic level, by task and policy")
 
 
-@styled
-def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
-    """Crash rate against progress: who is below and to the right of the line is safer without being slower.
-
-    The line is the frontier of `analysis.frontier`, here of means over the levels of a task.
-    """
-    arms, shown = _arms(policies), _shown(policies)
-    of_task = policies.groupby(["task", "traffic", "policy", "arm"], sort=False, as_index=False)
-    mean = of_task[["crashed", "progress"]].mean()
-    figure, panels = _panels(mean)
-    for own, panel in panels:
-        rules = own[own["arm"] == ""]
-        line = lower_hull(rules[rules["policy"].isin(RULES)])
-        panel.plot(line["progress"], line["crashed"], color=MUTED, lw=1.0, zorder=1)
-        for point in rules.itertuples():
-            panel.plot(point.progress, point.crashed, ls="", **_mark(str(point.policy)))
-        agents = {arm: own[own["arm"] == arm] for arm in arms}
-        if all(len(agents[arm]) for arm in ARMS):
-            start, end = (agents[arm][["progress", "crashed"]].iloc[0] for arm in ARMS)
-            panel.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": INK, "lw": 0.8})
-        for arm, agent in agents.items():
-            panel.plot(agent["progress"], agent["crashed"], "o", color=COLOURS[arm], ms=6, zorder=3)
-        panel.xaxis.set_major_locator(MaxNLocator(3))
-    figure.supxlabel("progress: distance covered, over the time limit of the episode [m/s]", fontsize=8.5)
-    _legend(figure, arms, shown, ls="")
-    return to_svg(figure, f"{backend}-progress", "Crash rate against progress, by task and policy")
-
-
 LARGER: Any = {"font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "xtick.labelsize": 10}
 LARGER |= {"ytick.labelsize": 10, "legend.fontsize": 10}
 BESIDE = {"sumo": "SUMO's driver", "planner": "planner", "slower": "always SLOWER"}  # agents, and their names
@@ -218,10 +189,10 @@ NAMES = {"roundabout": (9, 1, "left"), "two-way": (7, 3, "left"), "u-turn": (-4,
 
 
 @styled
-def crashes_against_speed(drivers: pd.DataFrame) -> str:
+def crashes_against_speed(drivers: pd.DataFrame, name: str) -> str:
     """Crash rate against speed, an arrow from control to treated agents for each task, one panel for each traffic.
 
-    drivers: of `analysis.drivers`, one setting of each task, with the policies of BESIDE that there are.
+    drivers: of `analysis.drivers`, one setting of each task, with both arms. name: of the figure's ids.
     """
     with matplotlib.rc_context(LARGER):  # so that it can be read on a telephone
         figure = Figure(figsize=(6.5, 4.6), layout="constrained")
@@ -237,12 +208,12 @@ def crashes_against_speed(drivers: pd.DataFrame) -> str:
         marks += [(words, MARKS[name], "none") for name, words in BESIDE.items()]
         handles = [Line2D([], [], color=INK, ls="", marker=m, mfc=c, label=words) for words, m, c in marks]
         figure.legend(handles=handles, loc="outside upper center", ncols=3, handletextpad=0.1)
-        return to_svg(figure, "speed", "Crash rate against speed, from control to treated agents, by task")
+        return to_svg(figure, f"{name}-speed", "Crash rate against speed, from control to treated agents")
 
 
 def _task(panel: Axes, task: str, drivers: pd.DataFrame) -> None:
     """The drivers of a task in one traffic, by name."""
-    colour = TASKS[task]
+    colour = TASKS.get(task, INK)
     for name in BESIDE:
         if name in drivers.index:
             place = drivers.loc[name, ["mean_speed", "crashed"]]

@@ -98,7 +98,6 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
         **answer(name, analysis),
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
-        "paces": paces(chosen(analysis.policies, backend=name)),
         "tasks": by_task.by_task(analysis, name),
         "away": by_task.by_task(analysis, name, away=True),
         "means": by_task.means_of_tasks(analysis, name),
@@ -169,12 +168,11 @@ def sides(single: pd.DataFrame) -> dict[str, dict[str, list[str]]]:
     }
 
 
-def paces(policies: pd.DataFrame) -> dict[str, Any]:
-    """Crash rate and progress of both arms and of the policies that do not learn, by traffic, every task alike."""
-    named = policies.assign(name=policies["arm"].where(policies["arm"] != "", policies["policy"]))
-    of_tasks = named.groupby(["name", "traffic", "task"])[["crashed", "progress"]].mean()
-    means = of_tasks.groupby(["name", "traffic"]).mean()
-    return {str(name): rows.droplevel("name").to_dict("index") for name, rows in means.groupby("name")}
+def lightest(drivers: pd.DataFrame) -> pd.DataFrame:
+    """The drivers of each task's lightest setting, of tasks in which there are both arms."""
+    first = drivers[drivers["level"] == drivers.groupby("task")["level"].transform("min")]
+    arms = chosen(first, driver=list(ARMS)).groupby("task")["driver"].nunique()
+    return chosen(first, task=list(arms.index[arms == len(ARMS)]))
 
 
 def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup | None]:
@@ -185,9 +183,10 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
     drives = with_outcomes(results)
     drives = chosen(drives, kind="agent", backend=name, arm=list(figures.COLOURS))
     agents = {cell: results.cells[cell] for cell in drives["cell"].unique()}
+    compared = lightest(chosen(analysis.drivers, backend=name))
     found = {
         "traffic": figures.against_traffic(policies, name),
-        "progress": figures.crashes_against_progress(policies, name),
+        "speed": figures.crashes_against_speed(compared, name) if len(compared) else None,
         "effects": figures.effects_by_setting(effects, name) if len(effects) else None,
         "doses": figures.dose_response(policies, name) if doses else None,
         "learning": figures.learning_curves(agents, name) if agents else None,

@@ -243,21 +243,6 @@ def test_learning_curves_are_of_the_lightest_level() -> None:
     assert lines == [[1.0, 5.0], [0.5, 0.25]]
 
 
-def test_the_line_under_the_policies_is_the_frontier_of_the_analysis() -> None:
-    places = {
-        "slower": (5.0, 0.1),
-        "idle": (9.0, 0.3),
-        "idm": (9.0, 0.2),  # below it, but not of the frontier, as a policy of the user's own
-        "mine.py:Mine": (9.0, 0.0),
-    }
-    rows = pd.DataFrame(places, index=["progress", "crashed"]).T.rename_axis("policy").reset_index()
-    calls = drawn(
-        "plot", figures.crashes_against_progress, rows.assign(task="u-turn", traffic="risky", arm="")
-    )
-    lines = [list(zip(*call.args[:2], strict=True)) for call in calls if "lw" in call.kwargs]
-    assert [line for line in lines if line] == [[(5.0, 0.1), (9.0, 0.3)]]
-
-
 def test_the_hazard_is_the_share_of_the_drives_still_on_the_road_that_crashes() -> None:
     drives = pd.DataFrame(
         {"cell": "a", "crash_free_time": [0.0, 0.9, 2.0, 3.0, 3.0], "crashed": [1.0, 0.0, 1.0, 1.0, 0.0]}
@@ -290,10 +275,7 @@ SPEEDS = speeds(
 
 
 def test_arrows_lead_from_control_to_treated_agents_where_they_are_apart() -> None:
-    def figure(shown: Any, _: str) -> str:
-        return figures.crashes_against_speed(shown)
-
-    calls = drawn("annotate", figure, SPEEDS)
+    calls = drawn("annotate", figures.crashes_against_speed, SPEEDS)
     arrows = [call.args[:3] for call in calls if "arrowprops" in call.kwargs]
     assert arrows == [
         ("", (12.0, 0.02), (23.0, 0.01)),
@@ -302,20 +284,24 @@ def test_arrows_lead_from_control_to_treated_agents_where_they_are_apart() -> No
     ]
     names = [call.args[:2] for call in calls if "arrowprops" not in call.kwargs]
     assert names[:2] == [("u-turn", (23.0, 0.01)), ("highway", (29.0, 0.03))] and len(names) == 4
-    [mark] = [[*call.args[:2]] for call in drawn("plot", figure, SPEEDS)]
+    [mark] = [[*call.args[:2]] for call in drawn("plot", figures.crashes_against_speed, SPEEDS)]
     assert mark == [20.0, 0.03]
 
 
+def test_the_report_shows_the_lightest_settings_that_have_both_arms() -> None:
+    rows = [
+        ("u-turn", 1, "control"),
+        ("u-turn", 1, "treatment"),
+        ("u-turn", 2, "control"),
+        ("merge", 1, "idle"),
+    ]
+    found = page.lightest(pd.DataFrame(rows, columns=["task", "level", "driver"]))
+    assert found["driver"].tolist() == ["control", "treatment"]
+
+
 def test_a_figure_that_stands_alone_has_every_colour_in_both_schemes() -> None:
-    svg = figures.alone(figures.crashes_against_speed(SPEEDS))
+    svg = figures.alone(figures.crashes_against_speed(SPEEDS, "study"))
     style = svg[svg.index("<style>") : svg.index("</style>")]
     used = {*re.findall(r"var\(--([\w-]+)", svg)}
     assert {"ink", "paper", "highway", "u-turn"} <= used
     assert {name: style.count(f"--{name}:") for name in used} == dict.fromkeys(used, 2)
-
-
-def test_paces_weight_every_task_alike() -> None:
-    tasks = {"task": ["highway", "highway", "u-turn"], "level": [1, 2, 1]}
-    rows = pd.DataFrame({**tasks, "crashed": [0.1, 0.3, 0.8], "progress": [10.0, 20.0, 30.0]})
-    found = page.paces(rows.assign(arm="", policy="idle", traffic="risky"))
-    assert found["idle"]["risky"] == pytest.approx({"crashed": 0.5, "progress": 22.5})

@@ -23,19 +23,22 @@ PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION
 Floats = NDArray[np.float64]
 UNLIT, RED, YELLOW, GREEN = -1, 0, 1, 2  # states of a traffic light; UNLIT where there is none
 # What SUMO's letters mean (https://sumo.dlr.de/docs/Simulation/Traffic_Lights.html); those that are left out mean that
-# the light is off. "s" lets vehicles turn right after a stop.
-LETTERS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G": GREEN}
+# the light is off.
+TURN = "s"  # lets vehicles turn right after a stop
+LETTERS = {"r": RED, "u": RED, TURN: RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G": GREEN}
 
 
 class Light(NamedTuple):
-    """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m].
+    """A traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m].
 
-    seconds: until the next phase begins [s]; where the light looks at the traffic, not before.
+    seconds: until the next phase begins [s]; where the light looks at the traffic, not before. lets_turn: whether it is
+    red and lets vehicles turn after a stop.
     """
 
     state: int = UNLIT
     distance: float = inf
     seconds: float = 0.0
+    lets_turn: bool = False
 
 
 NO_LIGHT = Light()
@@ -83,7 +86,7 @@ class Place(NamedTuple):
         progress: metres of this policy step over those of the whole way as it then stands, driven and left.
         ended: "" on its way, "arrived", "missed turn" (its lane does not lead on, and it can no longer change),
             or "removed" (by SUMO: teleported, say).
-        red_light: whether it has driven over a stop line at red in this policy step.
+        red_lights: stop lines that it has driven over at red in this policy step.
         waiting: number of vehicles that wait until SUMO can insert them.
         neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
         foe: the next vehicle to which it has to give way at the next junction, where a feature asks for it: see
@@ -103,7 +106,7 @@ class Place(NamedTuple):
     free_right: float = 0.0
     progress: float = 0.0
     ended: str = ""
-    red_light: bool = False
+    red_lights: int = 0
     waiting: int = 0
     neighbours: tuple[Neighbour, ...] = (NOBODY,) * 6
     foe: Neighbour = NOBODY
@@ -147,7 +150,7 @@ class Scene:
         time: since the start of the episode [s].
         in_event: names of the vehicles on which a risk event acts now.
         sizes: length and width [m] of the vehicles that do not have highway-env's size.
-        light: the next traffic light on the ego's way.
+        light: the nearest traffic light on the ego's way that is not green, or else the next one.
         place: the ego's on a network with SUMO's own traffic, None elsewhere.
         cars: number of first rows that are learning cars.
         further: light and place of the learning cars but the ego, by their ids.

@@ -326,7 +326,7 @@ class NetworkTask(Task):
             "high_speed_reward": speed_term(ego.speed, limits),
             "arrived_reward": float(self.arrived(ego)),
             "missed_turn_reward": float(place.ended == "missed turn"),
-            "red_light_reward": float(place.red_light),
+            "red_light_reward": float(place.red_lights),
             **terms(ego, config),
         }
 
@@ -335,7 +335,7 @@ class NetworkTask(Task):
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
         place = ego.place
-        ran_red = place.red_light and bool(config["red_light_terminal"])
+        ran_red = place.red_lights > 0 and bool(config["red_light_terminal"])
         return super().terminated(ego, config) or bool(place.ended) or ran_red
 
 

@@ -6,26 +6,21 @@ Its type limits what commands can do. Without a target speed or a target lane SU
 from __future__ import annotations
 
 from itertools import pairwise
-from math import inf, sqrt
+from math import inf
 
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.meeting import edge_of
 from sumo_env.networks.roads import LaneIndex
+from sumo_env.scenarios.lights import REACHED, LightsAhead
 from sumo_env.scenarios.progress import Progress
-from sumo_env.scene import NOBODY, RED, YELLOW, Light, Neighbour, Place
+from sumo_env.scene import NOBODY, Neighbour, Place
 from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.ego import coast, driven
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.surroundings import foe, neighbours
 from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.scenario import Arrival, Scenario
-
-REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
-# [m/s2] usual and hardest braking before traffic lights; where one would need more than its own, the ego drives on
-BRAKING, HARDEST = 4.0, 9.0
-STOPS_FOR = {RED: 8.0, YELLOW: 5.0}
-STOP_DISTANCE = 1.0  # [m] from its front to the stop line
 
 
 class RouteEgo:
@@ -35,7 +30,7 @@ class RouteEgo:
         speed: [m/s]; vehicle: it on the road.
         ended, ahead, overlap: see `Place`.
         overlaps_count: whether each touch of outlines is a crash.
-        red_light: whether it has run a red light since `obey`.
+        lights: on its way.
     """
 
     def __init__(self, session: Session, network: Network, vehicle: Vehicle, scenario: Scenario) -> None:
@@ -47,7 +42,7 @@ class RouteEgo:
         self.overlaps_count, self.overlap = scenario.traffic.overlaps_are_crashes, ""
         self._class = session.vehicle.getVehicleClass(name)
         self.speed = session.vehicle.getSpeed(name)
-        self.ended, self.red_light = "", False
+        self.ended, self.lights = "", LightsAhead(session, name)
         self._fuel = self._electricity = 0.0  # in this policy step
         self._target_speed: float | None = None
         self._acceleration: float | None = None
@@ -62,8 +57,9 @@ class RouteEgo:
         self._arrival = arrivals.get(name) or arrivals.get(name.rpartition(".")[0], Arrival())
         self._removing = scenario.traffic.removing
         self._index: LaneIndex = next(iter(network.lanes))
+        self._position = 0.0  # on its lane [m]
         self._left = self._beyond = (
-            0.0  # [m] to the end of its way, from its front and from the end of its lane
+            0.0  # from its front, and from the end of its lane, to the end of its way [m]
         )
         self.read_lane()
         self._odometer = float(session.vehicle.getDistance(name))  # [m]
@@ -75,13 +71,12 @@ class RouteEgo:
         self.read_lane(again=True)  # routes and lanes may have changed since it came here
         self._progress.begin_step(paid, self._route, self._left)
         self._fuel = self._electricity = 0.0
-        self.overlap = ""
+        self.overlap, self.lights.run = "", 0
         if self.vehicle.crashed:
             return
         self._target_speed, self._target_lane, self._acceleration = command
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index
-        self.red_light = False
         self.vehicle.command(self._target_speed is not None, self._target_lane is not None)
 
     @property
@@ -92,7 +87,7 @@ class RouteEgo:
     def drive(self, here: State, dt: float) -> None:
         """Command the next step of `dt` [s]; `settle` says how far it gets."""
         session, name, before = self._session, self._name, self.speed
-        self._signal = session.vehicle.getNextTLS(name)[:1]
+        self.lights.look()
         if self.vehicle.crashed:
             self.vehicle.drive(coast(before, dt)[0])
         elif self._target_speed is not None:
@@ -101,8 +96,9 @@ class RouteEgo:
             wanted = driven(before, self._target_speed, self._acceleration, dt)[0]
             speed = min(max(min(wanted, of.getMaxSpeed(name)), before - decel * dt, 0.0), before + accel * dt)
             if self._obeys_lights:
-                allowed = speed_before(session.next_light(name), before, dt)
+                allowed, mode = self.lights.allowed(before, dt)
                 speed = min(speed, max(allowed, before - hardest * dt, 0.0))
+                self.vehicle.hold_speed(mode)
             if speed * dt > self.free:
                 self.ended = "missed turn"
             self.vehicle.drive(speed)
@@ -133,16 +129,12 @@ class RouteEgo:
             self._fuel += session.vehicle.getFuelConsumption(self._name) * dt
             self._electricity += session.vehicle.getElectricityConsumption(self._name) * dt
         self.read_lane()
-        if self._signal and self._lane != before and not before.startswith(":"):
-            ((signal, connection, distance, _),) = self._signal
-            edge, reached = edge_of(before), distance <= self.speed * dt + REACHED
-            if edge_of(self._lane) != edge and reached:
-                # a sign that lets vehicles turn after a stop does not forbid to drive
-                state = session.sumo.trafficlight.getRedYellowGreenState(signal)
-                self.red_light = self.red_light or state[connection] in "ru"
+        metres = self._count_metres()
+        if edge_of(self._lane) != edge_of(before):
+            self.lights.pass_lines(metres - self._position)
         if not self._may_turn and self._target_lane is not None:
             self.ended = "missed turn"
-        return self._count_metres()
+        return metres
 
     def leave(self) -> float:
         """SUMO has taken it off the road in this step; returns the distance that was driven [m].
@@ -182,10 +174,12 @@ class RouteEgo:
             self._lane, self._route = lane, route
             self._look_ahead()
             self._look_aside()
-        driven, length = of.getLanePosition(name), self._network.sumo_lanes[lane].length
+        self._position, length = of.getLanePosition(name), self._network.sumo_lanes[lane].length
         # overtaking on the lane of oncoming traffic, where SUMO counts from the other end
         self._is_opposite = not lane.startswith(":") and edge_of(lane) != self.ahead[0]
-        self._left = max(self._beyond + (driven if self._is_opposite else length - driven), 0.0)
+        self._left = max(
+            self._beyond + (self._position if self._is_opposite else length - self._position), 0.0
+        )
 
     def _look_ahead(self) -> None:
         """Read what is left of its way."""
@@ -284,7 +278,7 @@ class RouteEgo:
             free_right=beside[1],
             progress=self._progress.share(self._route, self._left),
             ended=self.ended,
-            red_light=self.red_light,
+            red_lights=self.lights.run,
             waiting=waiting,
             neighbours=(NOBODY,) * 6 if gone else self._neighbours(),
             foe=foe(self._session, self._name) if self._sees_foes and not gone else NOBODY,
@@ -301,11 +295,3 @@ class RouteEgo:
         last = self._network.road.count(start, end) - 1
         left, right = (self._network.sumo_index((start, end, place)) for place in (0, last))
         return found if left >= right else (*found[4:], *found[2:4], *found[:2])
-
-
-def speed_before(light: Light, speed: float, dt: float) -> float:
-    """Highest speed [m/s] after `dt` [s] of a vehicle that stops at a light; inf where it need not or no longer can."""
-    if light.state not in STOPS_FOR or speed * speed > 2.0 * STOPS_FOR[light.state] * light.distance:
-        return inf
-    room = max(light.distance - STOP_DISTANCE, 0.0)
-    return max(sqrt(2.0 * BRAKING * room), speed - HARDEST * dt)

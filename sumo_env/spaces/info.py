@@ -78,7 +78,7 @@ def on_its_way(place: Place) -> dict[str, Any]:
     return {
         "missed_turn": place.ended == "missed turn",
         "removed": place.ended == "removed",
-        "red_light": place.red_light,
+        "red_light": place.red_lights > 0,
         "vehicles_waiting": place.waiting,
         "fuel": place.fuel,
         "electricity": place.electricity,

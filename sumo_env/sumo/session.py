@@ -14,7 +14,7 @@ from pathlib import Path
 
 from sumo_env.contacts.rectangles import CAR, HALF_LENGTH, Half, State
 from sumo_env.networks.meeting import Spot
-from sumo_env.scene import CAR_SIZE, LETTERS, NO_LIGHT, Light
+from sumo_env.scene import CAR_SIZE, GREEN, LETTERS, NO_LIGHT, PERCEPTION_DISTANCE, TURN, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
 from sumo_env.sumo.settings import Settings
 from sumo_env.sumo.user_files import plain_path, temporary_folder
@@ -223,14 +223,22 @@ class Session:
             lane, side
         )
 
-    def next_light(self, name: str) -> Light:
-        """The next traffic light on a vehicle's way."""
+    def lights(self, name: str) -> list[Light]:
+        """The traffic lights on a vehicle's way as far as it sees, the nearest first, and the next one in any case."""
+        found: list[Light] = []
         for signal, _, distance, letter in self.vehicle.getNextTLS(name):
+            if found and distance > PERCEPTION_DISTANCE:
+                break
             if letter in LETTERS:
                 # when SUMO next looks at the phase, which may go on where the light looks at the traffic
                 left = self.sumo.trafficlight.getNextSwitch(signal) - self.simulation.getTime()
-                return Light(LETTERS[letter], float(distance), max(float(left), 0.0))
-        return NO_LIGHT
+                found.append(Light(LETTERS[letter], float(distance), max(float(left), 0.0), letter == TURN))
+        return found
+
+    def next_light(self, name: str) -> Light:
+        """The nearest light on a vehicle's way that is not green, or else the next one."""
+        lights = self.lights(name)
+        return next((light for light in lights if light.state != GREEN), next(iter(lights), NO_LIGHT))
 
     def signals(self) -> dict[str, str]:
         """What all traffic lights show, in SUMO's letters, by their ids."""

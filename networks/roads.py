@@ -22,6 +22,7 @@ from sumo_env.networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, 
 LaneIndex = tuple[str, str, int]
 
 FEW = 6  # lanes that are all looked at for the closest one: finding out which matter would cost more
+CONTINUES = 0.75  # widths that the next lane may be beside the end of the one that it continues
 SAMPLE = 1.0  # [m] between the points that stand for a lane of more
 
 
@@ -88,6 +89,19 @@ class Road:
         """
         other = (*index[:2], index[2] + side)
         return other if other in self.lanes and not self.lanes[other].forbidden else None
+
+    @cached_property
+    def dead_ends(self) -> frozenset[LaneIndex]:
+        """Lanes that end before the road does: no lane of a next road continues them."""
+        found = set()
+        for index, lane in self.lanes.items():
+            node = index[1]
+            after = [other for other in self.lanes if other[0] == node and node not in self.ends]
+            end = lane.position(lane.length, 0.0)
+            beside = [abs(self.lanes[other].local_coordinates(*end)[1]) for other in after]
+            if beside and min(beside) > CONTINUES * lane.width and not self.oncoming:
+                found.add(index)
+        return frozenset(found)
 
     def route(self, start: str, goal: str) -> tuple[str, ...]:
         """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""

@@ -16,6 +16,8 @@ from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import Scene
 from sumo_env.traffic.scenario import Scenario
 
+LANE_ENDED = "lane ended"  # the ego has come to the end of a lane that ends before the road does
+
 
 class SimulatorError(RuntimeError):
     """A simulator cannot continue an episode; `reset` starts another one."""
@@ -74,12 +76,14 @@ class EgoStep(NamedTuple):
         min_ttc: least time to collision with any vehicle within 100 m after any sub-step [s], inf without one within
             10 s.
         distance: covered in this step [m].
+        ended: how its way has ended, for `info.ending`; "" where it goes on. Endings on SUMO's own networks: `Place`.
     """
 
     target_lane: LaneIndex
     crash: CrashRecord | None
     min_ttc: float
     distance: float
+    ended: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -237,9 +237,10 @@ class TupleEnv(gym.Env[Any, Any]):
     def _informed(self, seen: Mapping[int, tuple[Any, ...]], rewards: list[float]) -> dict[str, Any]:
         """The first car's ``info`` with what belongs to all cars."""
         first, states = self.cars.first, [env.ego_state for env in self.cars.envs]
+        ends = [state.crashed or bool(state.ended) or first.task.arrived(state) for state in states]
         together: dict[str, Any] = {
             "agents_rewards": tuple(map(float, rewards)),
-            "agents_terminated": tuple(state.crashed or first.task.arrived(state) for state in states),
+            "agents_terminated": tuple(ends),
         }
         if first.task.shares_reward:
             terms = [one[-1]["rewards"] for one in seen.values()]

@@ -231,7 +231,8 @@ class DrivingEnv(ReadAsHighwayEnv):
         car.look(self._ego_place(), plain, index, len(speeds))
         observation = self._observe()
         reward = returned(self, "_reward", self._reward(action), float)
-        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
+        terminated = bool(self._is_terminated()) or bool(car.ego_state.ended)
+        truncated = bool(self._is_truncated())
         car.ending = ending(car.ego_state, self.task.arrived(car.ego_state), terminated, truncated)
         if car.episode.is_closed:
             truncated, car.ending = True, car.ending or "window closed"

@@ -116,6 +116,7 @@ class CarEpisode:
             jerk=(acceleration - last.acceleration) * frequency if last else 0.0,
             before=last.scene if last else None,
             lanes_abreast=self.road.count(*target_lane[:2]),
+            ended=self.met.ended,
         )
 
     def place(self) -> EgoPlace:

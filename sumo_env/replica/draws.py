@@ -61,10 +61,10 @@ def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
     elif task.name in _OTHERS:
         ego = task.ego(config, road, rng)
         vehicles = _OTHERS[task.name](config, road, rng)
-        if cars > 1:
-            vehicles = tuple(task.with_cars(config, road, ego, list(vehicles), cars, rng))
     else:
         raise ConfigError(f"highway-env's draws of the task {task.name!r} are not known here; {INSTEAD}")
+    if cars > 1 and task.name not in ("highway", "intersection"):  # whose own draws have them
+        vehicles = tuple(task.with_cars(config, road, ego, list(vehicles), cars, rng))
     vehicles += tuple(obstacles(exact))
     return Scenario(
         task=task.name,

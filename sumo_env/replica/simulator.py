@@ -23,8 +23,8 @@ from sumo_env.replica.compiled import compile_notice
 from sumo_env.replica.draws import Centres
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
-from sumo_env.scene import MAX_SPEED, NO_LIGHT, OBSTACLE_SIZE, Scene, is_obstacle
-from sumo_env.simulator import Command, Commands, EgoStep, SteeringCommand, Step
+from sumo_env.scene import MAX_SPEED, NO_LIGHT, OBSTACLE_SIZE, VEHICLE_LENGTH, Scene, is_obstacle
+from sumo_env.simulator import LANE_ENDED, Command, Commands, EgoStep, SteeringCommand, Step
 from sumo_env.spaces.observation import Kinematics, TableForm
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
 
@@ -114,12 +114,27 @@ class Replica:
             if crash >= 0 and name not in self._crashes:
                 self._crashes[name] = _record(self._scene(frames[crash], start + crash + 1).seen_by(name))
             target = self.lanes.names[self._cars[row]["target"]]
-            egos[name] = EgoStep(target, self._crashes.get(name), min_ttc, distance)
+            ended = LANE_ENDED if self._has_ended(frames[:, :, row]) else ""
+            egos[name] = EgoStep(target, self._crashes.get(name), min_ttc, distance, ended)
         return Step(
             scene=self._scene(frames[-1], end),
             egos=egos,
             trace=tuple(self._scene(frame, start + k + 1) for k, frame in enumerate(frames)) if trace else (),
         )
+
+    def _has_ended(self, way: Any) -> bool:
+        """Whether a car has driven over the end of a lane that ends before the road does; way: its part of a trace.
+
+        highway-env's cars steer for the nearest lane from half a vehicle before the end on; SUMO's front is there then.
+        """
+        road, dt = self._scenario.road, self._rules.dt
+        for lane in map(road.lane, road.dead_ends):
+            for x, y, speed in way[:, [X, Y, SPEED]].tolist():
+                s, lateral = lane.local_coordinates(x, y)
+                beyond = s - (lane.length - VEHICLE_LENGTH / 2.0)
+                if 0.0 <= beyond <= speed * dt and abs(lateral) <= lane.width / 2.0:
+                    return True
+        return False
 
     def _obey(self, ego: Any, command: Command | None) -> None:
         """Take over the command of a policy step."""

@@ -336,7 +336,7 @@ class NetworkTask(Task):
     def terminated(self, ego: EgoState, config: Config) -> bool:
         place = ego.place
         ran_red = place.red_lights > 0 and bool(config["red_light_terminal"])
-        return super().terminated(ego, config) or bool(place.ended) or ran_red
+        return super().terminated(ego, config) or ran_red
 
 
 def _ranges(limit: float) -> dict[str, list[float]]:

@@ -62,15 +62,14 @@ def information(
 def ending(ego: EgoState, arrived: bool, terminated: bool, truncated: bool) -> str:
     """How an episode has ended, for ``info["ending"]``; "" while it goes on.
 
-    "crash", "arrived", "missed turn", "removed" (by SUMO), "off road", "own rule" (of a subclass, or a red light), or
-    "time".
+    "crash", "arrived", "missed turn", "lane ended", "removed" (by SUMO), "off road", "own rule" (of a subclass, or a
+    red light), or "time".
     """
     if not terminated:
         return "time" if truncated else ""
     if ego.crashed or arrived:
         return "crash" if ego.crashed else "arrived"
-    place = ego.scene.place
-    return (place.ended if place is not None else "") or ("own rule" if ego.on_road else "off road")
+    return ego.ended or ("own rule" if ego.on_road else "off road")
 
 
 def on_its_way(place: Place) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
-from sumo_env.simulator import EgoCommand
+from sumo_env.simulator import LANE_ENDED, EgoCommand
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.risk import CUT_IN_GAP
@@ -25,7 +25,7 @@ REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reprod
 class Ego:
     """The ego during one episode."""
 
-    ended = ""  # its way does not end
+    ended = ""  # how its way has ended, see `EgoStep`
     overlaps_count = True  # whether each touch of outlines is a crash
     is_sumos, overlap = False, ""  # see `RouteEgo`
 
@@ -77,6 +77,8 @@ class Ego:
             return self.speed * self._session.step_length
         if speed == 0.0 and self._covered > LEAST_COVERED:  # SUMO has stopped it: its lane ends
             self.speed = self._covered = 0.0
+            if not self.vehicle.crashed:
+                self.ended = LANE_ENDED
         return self._covered
 
     def _change_lane(self, lane: str) -> None:

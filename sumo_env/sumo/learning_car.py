@@ -100,4 +100,5 @@ class Car:
 
     def met(self) -> EgoStep:
         """The result of a policy step."""
-        return EgoStep(self.ego.target_lane, self._detector.crash, self._least_ttc, self.distance)
+        ego = self.ego
+        return EgoStep(ego.target_lane, self._detector.crash, self._least_ttc, self.distance, ego.ended)

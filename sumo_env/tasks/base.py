@@ -50,6 +50,7 @@ class EgoState(NamedTuple):
         acceleration: mean of this step [m/s2]; jerk: its change since the step before, over time [m/s3].
         before: the scene before this step, None at a reset.
         lanes_abreast: lanes of the road that the ego steers for.
+        ended: how its way has ended, see `EgoStep`.
     """
 
     lane: LaneIndex
@@ -68,6 +69,7 @@ class EgoState(NamedTuple):
     jerk: float = 0.0
     before: Scene | None = None
     lanes_abreast: int = 1
+    ended: str = ""
 
     @property
     def place(self) -> Place:

@@ -23,6 +23,7 @@ from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import make_on_lane
 from sumo_env.tasks.highway import Highway
+from sumo_env.tasks.merge import Merge
 from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import drive, observations
 from tests.sumo_env.situations import draw, with_leader
@@ -84,14 +85,28 @@ def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made
     env.close()
 
 
-def test_an_ego_at_the_end_of_its_lane_stands() -> None:
-    scenario = draw("merge")  # without the obstacle at the end of the third lane
-    ego = make_on_lane(scenario.road, "ego", ("b", "c", 2), 40.0, 20.0, scenario.ego.driver)
-    with closing(DrivingEnv("merge", {"duration": 6})) as env:
-        env.reset(options={"scenario": replace(scenario, ego=ego, vehicles=(), events=())})
-        *_, (*_, info) = drive(env)
-        assert (info["speed"], info["distance"], info["ending"]) == (0.0, 0.0, "time")
-        assert env.ego_state.s == pytest.approx(80.0, abs=3.0)
+class Endless(Merge):
+    """No rule of its own ends an episode."""
+
+    def terminated(self, ego: Any, config: Any) -> bool:
+        return False
+
+
+@pytest.mark.parametrize("made", [DrivingEnv, partial(ReplicaEnv, scenarios="seeded")])
+@pytest.mark.parametrize("frequency", [1, 5])
+def test_an_episode_ends_where_the_ego_s_lane_does(made: Any, frequency: int) -> None:
+    """On either simulator, whatever the task's rules; an ego on the lane beside drives on."""
+    scenario = draw("merge", policy_frequency=frequency)
+    assert scenario.road.dead_ends == {("b", "c", 2)}
+    config = {"duration": 5, "policy_frequency": frequency, "simulation_frequency": 10}
+    with closing(made(Endless(), config)) as env:
+        for lane, expected in ((2, "lane ended"), (1, "time")):
+            ego = make_on_lane(scenario.road, "ego", ("b", "c", lane), 20.0, 20.0, scenario.ego.driver)
+            # without the obstacle at the end of the third lane
+            env.reset(options={"scenario": replace(scenario, ego=ego, vehicles=(), events=())})
+            *before, (*_, last) = [result[2:] for result in drive(env)]
+            assert last["ending"] == expected and not any(result[0] for result in before)
+            assert env.scene.time == pytest.approx(3.0 if lane == 2 else 5.0, abs=1.0 / frequency + 0.2)
 
 
 # -- tasks and drivers -------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 import warnings
 from collections.abc import Iterator
 from contextlib import closing
@@ -20,7 +19,6 @@ from gymnasium.utils.env_checker import check_env
 import sumo_env
 from sumo_env.config import ConfigError, ignore
 from sumo_env.env import DrivingEnv
-from sumo_env.scene import Place
 from sumo_env.spaces.info import ending
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import drive, leaves
@@ -213,9 +211,8 @@ def test_info_says_how_an_episode_has_ended(
 def test_endings_of_other_kinds() -> None:
     env = DrivingEnv("highway", {"vehicles_count": 1})
     env.reset(seed=0)
-    ego, place = env.ego_state, Place(("0", "1", 0), True, True, (), math.inf, ended="missed turn")
-    missed = ego._replace(scene=replace(env.scene, place=place))
-    assert ending(missed, False, True, False) == "missed turn"
+    ego = env.ego_state
+    assert ending(ego._replace(ended="missed turn"), False, True, False) == "missed turn"
     assert ending(ego, False, True, False) == "own rule"
     assert ending(ego._replace(on_road=False), False, True, True) == "off road"
 

@@ -22,6 +22,7 @@ SAMPLE = 5.0  # [m] between the points of a lane that are looked at
 FURTHEST = 100.0  # [m] between two junctions that are looked at: TTC_RADIUS of `sumo_env.contacts.measures`
 CLEARANCE = 3.0  # [m] of height between two roads, one above the other
 STEEPEST = 0.15  # metres of height per metre of road
+STRETCHED = 1.1  # SUMO's length of a lane over its drawn length, from which on its drawing says little
 MOST_PASSED = 30  # lanes that a vehicle drives over in a step
 
 
@@ -94,6 +95,11 @@ class Meeting:
         if spot.position < length:
             found += [lane for lane, start in self._inside.get(spot.lane, ()) if start == edge]
         return found
+
+    def is_stretched(self, lane: str) -> bool:
+        """Whether vehicles on a lane are nearer to each other in the drawing than in SUMO's metres."""
+        found = self._lanes.get(lane)
+        return found is not None and found.length > STRETCHED * found.drawn > 0.0
 
     def leads(self, before: str, after: str) -> bool:
         """Whether a vehicle that drives on, and does not change lane, gets from one lane to another in a step."""

@@ -15,13 +15,14 @@ from typing import Any
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import DIAGONAL, Half, State, reach_of, separation, stay_apart
-from sumo_env.networks.meeting import Meeting, Spot
+from sumo_env.networks.meeting import Meeting, Spot, edge_of
 from sumo_env.scene import NOBODY, PERCEPTION_DISTANCE, Neighbour
 from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO
 
 FASTEST = 200.0  # [m/s] no two vehicles close in faster
 NOWHERE = 1e8  # [m] so far away are those that SUMO is teleporting, which may be back at any time
+LONG = 10.0  # [m] from which on a vehicle is drawn across the lane beside in a turn
 # Shapes of vehicles of several parts: SUMO's angle is that of the first one, and the others follow the lane.
 BENDING = {"bus/flexible", "rail", "rail/railcar", "rail/cargo", "truck/semitrailer", "truck/trailer"}
 
@@ -118,7 +119,7 @@ class Surroundings:
             for name in found
             if name in reported
             or (
-                not self._bends(name)
+                not self._is_drawn_otherwise(name)
                 and self._can_meet(name, halves[name], dt)
                 and not self._has_jumped_past(name, halves[name])
             )
@@ -137,11 +138,16 @@ class Surroundings:
         """Whether a touch of the ego and another vehicle is one of outlines alone, which SUMO's rules allow.
 
         Their ways through a junction are in no conflict by SUMO's matrix, or both are on lanes and `is_sumos`: SUMO
-        alone drives the ego.
+        alone drives the ego. Of a long vehicle, which SUMO draws across the lane beside in a turn, also where they are
+        on two lanes of an edge, or only one of them is in the junction.
         """
         if self._meeting is None:
             return False
-        if is_sumos and self._lanes[name]:
+        lane, beside = self._lanes[self._name], self._lanes[name]
+        if is_sumos and beside:
+            return True
+        is_long = 2.0 * max(self._session.half(one) for one in (self._name, name)) > LONG
+        if is_long and lane != beside and edge_of(lane) == edge_of(beside):
             return True
         of, foes = self._session, self._session.sumo.lane.getInternalFoes
         own, others = (
@@ -150,11 +156,16 @@ class Surroundings:
         )
         pairs = list(product(own, others))
         known = any(one == other or other in foes(one) or one in foes(other) for one, other in pairs)
-        return bool(pairs) and not known
+        return bool(own or others if is_long else pairs) and not known
 
-    def _bends(self, name: str) -> bool:
-        """Whether a vehicle or the ego has several parts, and one straight outline says nothing in a bend."""
-        return any(self._session.vehicle.getShapeClass(one) in BENDING for one in (name, self._name))
+    def _is_drawn_otherwise(self, name: str) -> bool:
+        """Whether outlines say nothing: of this vehicle and the ego, one has several parts or a stretched lane."""
+        assert self._meeting is not None
+        return any(
+            self._session.vehicle.getShapeClass(one) in BENDING
+            or self._meeting.is_stretched(self._lanes[one])
+            for one in (name, self._name)
+        )
 
     def _own_half(self) -> Half:
         """The ego's half size [m]."""

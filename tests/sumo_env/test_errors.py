@@ -362,6 +362,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (fleet("sumo/highway-v0", output_dir="out"), ConfigError, "output_dir"),
     (fleet("sumo/highway-v0", {"manual_control": True}), ConfigError, "'manual_control'"),
     (fleet("sumo/two-way-v0", {"controlled_vehicles": 3}), ConfigError, "at most 2"),
+    (fleet("replica/exit-v0", {"controlled_vehicles": 2}), ConfigError, "at most 1"),
 ]  # fmt: skip
 
 

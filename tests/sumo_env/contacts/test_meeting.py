@@ -301,6 +301,7 @@ def test_of_a_vehicle_of_several_parts_the_parts_behind_follow_the_road(
     turns = 55, 7, '<route edges="ab bd"/>'
     assert driven(*turns)["ending"] == "arrived"
     monkeypatch.setattr(surroundings, "BENDING", ())
+    monkeypatch.setattr(surroundings, "LONG", math.inf)
     assert driven(*turns)["crash"]["detected_by"] == "geometry"
     monkeypatch.undo()
     stands = 150, 0, '<route edges="ab bd"/><stop lane="ab_1" endPos="150" duration="90"/>'

@@ -146,3 +146,53 @@ def test_an_ego_that_sumo_drives_crashes_where_sumo_reports_it(
         overlaps += any(info["overlap"] for info in infos)
     if is_judged_by_outlines and kind.__name__ == "junctions":
         assert overlaps  # there is something to judge
+
+
+CORNER = ("a 0 0, b 150 0, c 150 -150", "ab a b 2 14, bc b c 2 14", "ab 0 bc 0, ab 1 bc 1")
+
+
+@pytest.mark.parametrize("kind", ["coach", "truck"])
+def test_a_long_vehicle_beside_the_ego_in_a_turn_is_no_crash_unless_sumo_reports_it(
+    tmp_path: Path, kind: str
+) -> None:
+    """It turns on the outer lane; the ego keeps the inner one, driven by SUMO among risky drivers."""
+    car = '<vehicle id="{}" type="{}" depart="{}" departLane="{}" departSpeed="8"><route edges="ab bc"/></vehicle>'
+    cars = [car.format(f"l{k}", "long", 2.5 * k, 1) for k in range(8)]
+    cars.insert(4, car.format("ego", "DEFAULT_VEHTYPE", 9.5, 0))
+    routes = route_file(tmp_path, f'<vType id="long" vClass="{kind}" length="16"/>' + "".join(cars))
+    net = build(tmp_path, CORNER, "--no-turnarounds")
+    overlaps, config = set(), {"duration": 40, "risk": 0.02, "policy_frequency": 2, "action": SUMO_DRIVES}
+    for seed in (0, 4):
+        with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config)) as env:
+            infos = [result[-1] for result in drive(env, 0, seed)]
+        assert infos[-1]["crash"].get("detected_by") != "geometry"
+        overlaps |= {info["overlap"] for info in infos} - {""}
+    assert overlaps
+
+
+@pytest.mark.parametrize(("length", "brakes"), [(400, True), (1200, True), (1200, False)])
+def test_where_an_edge_is_longer_than_its_drawing_sumo_s_report_counts(
+    tmp_path: Path, length: int, brakes: bool
+) -> None:
+    """A queue at a red light: who stops behind it has not crashed, who does not stop has."""
+    edges = f'<edge id="ab" from="a" to="b" speed="14" length="{length}"/>'
+    net = build(
+        tmp_path, ("a 0 0, b 400 0 traffic_light, c 600 0, s 400 -90", edges + _edge("bc") + _edge("sb"))
+    )
+    car = '<vehicle id="{}" depart="{}" departPos="{}"><route edges="ab bc"/></vehicle>'
+    cars = [car.format(f"q{k}", k, "last") for k in range(12)] + [car.format("ego", 13, "base")]
+    config = {"duration": 150, "policy_frequency": 2, "risk": 0.2}
+    with closing(
+        SumoDrivingEnv(net, route_file(tmp_path, "".join(cars)), ego_vehicle="ego", config=config)
+    ) as env:
+        env.reset(seed=0)
+        (light,) = env.sumo.trafficlight.getIDList()
+        env.sumo.trafficlight.setRedYellowGreenState(light, "rr")
+        env.hand_over(brakes)
+        infos = [result[-1] for result in drive(env, FASTER)]
+    assert infos[-1]["ending"] == ("time" if brakes else "crash")
+    assert (infos[-1]["speed"] < 0.1) == brakes
+
+
+def _edge(name: str) -> str:
+    return f'<edge id="{name}" from="{name[0]}" to="{name[1]}" speed="14"/>'

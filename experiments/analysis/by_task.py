@@ -50,7 +50,7 @@ OWN = {
 COLUMNS: dict[str, Outcome] = {
     **{name: OUTCOMES[name] for name in ("crashed", "crashes_per_100_km")},
     "hard_crash": OWN["hard_crash"],
-    **{name: OUTCOMES[name] for name in ("mean_speed", "return")},
+    **{name: OUTCOMES[name] for name in ("mean_speed", "return", "score")},
     "entered": OWN["entered"],
 }
 # Danger without a crash: exploratory, and in no column of the report.

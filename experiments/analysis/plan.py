@@ -45,6 +45,7 @@ class Outcome:
 
 OUTCOMES: dict[str, Outcome] = {
     "return": Outcome("return", "", +1, 2),
+    "score": Outcome("score", "", +1, 2, poolable=True),  # see `design.attainable`
     "crashed": Outcome("crashes", "[%]", -1, 1, percent=True, poolable=True, margin=0.05),
     "crash_free_time": Outcome("time to crash, at most the episode's", "[s]", +1, 1, margin=1.0),
     "crashes_per_100_km": Outcome("crashes per 100 km", "", -1, 0),

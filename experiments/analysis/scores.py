@@ -10,6 +10,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.analysis.plan import OUTCOMES, Outcome
+from experiments.study.design import attainable
+from experiments.study.design.cell import tested_on
+from experiments.study.design.levels import env_config
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.loaded import AGENT, SETTING, Results
 from experiments.support.errors import UserError
@@ -40,16 +43,24 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
     lasted = episodes["length"] / of_cell(lambda key: key["env_config"].get("policy_frequency", 1))
     crashed = episodes["crashed"].astype(float)
     seconds = of_cell(lambda key: key["env_config"].get("duration", TASKS[key["task"]].defaults["duration"]))
+    scores = attainable.scores(episodes).where(of_cell(_is_marked))
     own = {name: outcome.of for name, outcome in outcomes.items() if outcome.of is not None}
     return episodes.assign(
         **own,
         seconds=seconds.astype(float),
         progress=episodes["distance"] / seconds,
         crashed=crashed,
+        score=scores,
         reward_per_step=episodes["return"] / episodes["length"],
         crash_free_time=episodes["crash_time"].astype(float).where(crashed > 0).fillna(lasted),
         crashes_per_100_km=crashes_per_100_km(episodes, ["cell", "traffic"]),
     )
+
+
+def _is_marked(key: Mapping[str, Any]) -> bool:
+    """Whether a cell is tested as those who mark its returns were driven: on SUMO, and nothing else is configured."""
+    backend, task, config = tested_on(key)
+    return backend == "sumo" and config == env_config(backend, task, key["level"])
 
 
 def crashes_per_100_km(episodes: pd.DataFrame, by: Sequence[str]) -> pd.Series:

@@ -39,7 +39,7 @@ def both_arms(row: Mapping[str, Any]) -> str:
 
 
 def by_task(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFrame:
-    """Every task in both traffics, one below the other, in all columns.
+    """Every task in both traffics, one below the other, in all columns; scores only where there are some.
 
     Args:
         away: instead among risky drivers that cause no events, and on other simulators.
@@ -58,7 +58,8 @@ def by_task(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFram
             words = where[simulator, traffic].removesuffix(" traffic")
             short = words if simulator == backend else f"{traffic}, {simulator}"
             lines.append({"task": task, "traffic": short, **cells})
-    return pd.DataFrame(lines)
+    frame, score = pd.DataFrame(lines), titled(COLUMNS["score"])
+    return frame.drop(columns=score) if lines and frame[score].eq(NONE).all() else frame
 
 
 def means_of_tasks(analysis: Analysis, backend: str) -> pd.DataFrame:

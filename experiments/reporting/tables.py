@@ -146,15 +146,22 @@ def careful(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 
 def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
-    """Effects of every setting with their 95 % intervals, and the p-values of what the plan tests."""
+    """Effects of every setting with their 95 % intervals, and the p-values of what the plan tests.
+
+    Beside effects on the return stand the scores of both arms.
+    """
 
     def cells(row: Mapping[str, Any]) -> dict[str, str]:
         title = TERMS.get(row["term"], row["term"])
+        if row["outcome"] == "score":
+            both = " → ".join(number(row[side], "score") for side in ("mean_against", "mean_arm"))
+            return {f"score, {title}": both} if row["term"] in TRAFFICS else {}
         tested = {f"{title}, p (Holm)": p_value(row["p_adjusted"])} if row["family"] else {}
         agents = f"{row['seeds_arm']}, {row['seeds_against']}"
         return {title: effect(row, outcome), **tested, "agents": agents}
 
-    return wide(with_setting(chosen(main(analysis.effects, backend), outcome=outcome)), ["setting"], cells)
+    shown = [outcome, *(["score"] if outcome == "return" else [])]
+    return wide(with_setting(chosen(main(analysis.effects, backend), outcome=shown)), ["setting"], cells)
 
 
 def own(analysis: Analysis, backend: str, outcomes: Mapping[str, Outcome]) -> pd.DataFrame:

@@ -15,6 +15,7 @@ from experiments.analysis.effects import ESTIMATE, MEANS, contrasts, means
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT
 from experiments.analysis.scores import arms_of, with_outcomes
+from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID
 from experiments.study.results.loaded import Results, load
 from experiments.support.errors import UserError
@@ -161,12 +162,33 @@ def test_an_episode_without_a_crash_lasts_its_steps_by_the_policy_frequency() ->
     episodes = pd.DataFrame(
         {"cell": ["slow", "fast"], "traffic": "regular", "crashed": False, "crash_time": float("nan")}
     )
-    episodes = episodes.assign(length=20, distance=100.0, **{"return": 1.0})
+    episodes = episodes.assign(length=20, distance=100.0, task="u-turn", level_name="3", **{"return": 1.0})
     configs = {"slow": {"duration": 20}, "fast": {"duration": 10, "policy_frequency": 2}}
-    cells = {name: {"key": {"task": "u-turn", "env_config": config}} for name, config in configs.items()}
+    key = {"backend": "sumo", "task": "u-turn", "level": 1}
+    cells = {name: {"key": {**key, "env_config": config}} for name, config in configs.items()}
     results: Any = SimpleNamespace(episodes=episodes, cells=cells)
     found = with_outcomes(results, {})
     assert found[["crash_free_time", "seconds", "progress"]].values.tolist() == [
         [20.0, 20.0, 5.0],
         [10.0, 10.0, 10.0],
     ]
+
+
+def test_scores_stand_beside_returns_where_there_are_marks(results: Results, monkeypatch) -> None:
+    """Only of tests like those of the marks: on SUMO, and with nothing else configured."""
+    drivers = {"IDLE": {"kind": "constant", "return": 2.0}, "planner": {"kind": "policy", "return": 6.0}}
+    monkeypatch.setattr(attainable, "stored", lambda: {"u-turn 3 regular": {"drivers": drivers}})
+    other = next(name for name in results.cells if "u-turn-3-control" in name)
+    key = results.cells[other]["key"]
+    config = {**key["env_config"], "collision_reward": -2.0}
+    cells = {**results.cells, other: {**results.cells[other], "key": {**key, "env_config": config}}}
+    found = with_outcomes(replace(results, cells=cells), {**COLUMNS, **SURROGATES})
+    marked = (found["task"] == "u-turn") & (found["traffic"] == "regular") & (found["tested_on"] == "sumo")
+    expected = ((found["return"] - 2.0) / 4.0).where(marked & (found["cell"] != other))
+    pd.testing.assert_series_equal(found["score"], expected, check_names=False)
+    rows = by_task(with_outcomes(results, {**COLUMNS, **SURROGATES}))
+    rows = rows[rows["tested_on"] == "sumo"].set_index(["outcome", "scope", "traffic"])
+    value, score = (rows.loc[(name, "u-turn", "regular")] for name in ("return", "score"))
+    assert score["mean_arm"] == pytest.approx((value["mean_arm"] - 2.0) / 4.0)
+    assert score["low"] == pytest.approx(value["low"] / 4.0)
+    assert not {"highway", "roundabout"} & set(rows.loc["score"].index.get_level_values("scope"))

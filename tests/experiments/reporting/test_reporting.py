@@ -49,7 +49,14 @@ TASKS = rows_by_task(
 
 def test_the_table_of_tasks_has_a_line_a_task_and_traffic() -> None:
     table = by_task.by_task(analysis(by_task=TASKS), "sumo")
-    assert table.columns.tolist() == ["task", "traffic", *map(tables.titled, COLUMNS.values())]
+    titles = ["task", "traffic", *map(tables.titled, COLUMNS.values())]
+    assert [*table.columns] == [title for title in titles if title != "score"]  # there are none
+    marked = pd.concat([TASKS, rows_by_task(("u-turn", "sumo", "risky", "score", 0.2, 0.85, 0.5, 0.8))])
+    scored = by_task.by_task(analysis(by_task=marked), "sumo")
+    assert [*scored.columns] == titles and scored["score"].tolist() == [
+        "0.20 → 0.85\n+0.65 [+0.50, +0.80]",
+        *"–––",
+    ]
     assert table.iloc[:, :4].to_numpy().tolist() == [
         ["u-turn", "risky", "74.0 → 13.0\n−61.0 [−64.0, −57.0]", "632 → 136\n−496 [−535, −457]"],
         ["u-turn", "regular", "2.0 → 2.0\n0.0 [−1.0, +1.0]", "–"],

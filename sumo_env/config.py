@@ -57,8 +57,8 @@ KEYS = {
     "policy_frequency": Key(1, "(0, 1000]", is_whole=True),  # [Hz]
     "risk": Key(0.0, "[0, 1]"),  # dose of risky traffic, 0 (regular) to 1
     "drivers": Key("highway-env"),  # one of `DRIVERS`: whose numbers the other drivers have
-    "screen_width": Key(600, "(0, 10000]"),  # [px]
-    "screen_height": Key(150, "(0, 10000]"),  # [px]
+    "screen_width": Key(600, "(0, 10000]", is_whole=True),  # [px]
+    "screen_height": Key(150, "(0, 10000]", is_whole=True),  # [px]
     "scaling": Key(5.5, "(0, inf]"),  # [px/m]
     "centering_position": Key([0.3, 0.5]),
     "vehicles_count": Key(within=f"[0, {MOST_VEHICLES}]", is_whole=True, renamed="initial_vehicle_count"),
@@ -348,7 +348,7 @@ def _check(task: str, config: Config, defaults: Config) -> None:
     if config["simulation_frequency"] < config["policy_frequency"]:
         frequencies = ("simulation_frequency", "policy_frequency")
         both = " must be at least ".join(f"{key!r} ({config[key]})" for key in frequencies)
-        raise ConfigError(f"{both}: otherwise no time passes in a step")
+        raise ConfigError(f"{both}: otherwise no time passes in a step; set both")
     for group, types in TYPES.items():
         _check_type(task, group, config[group], {known["type"]: known for known in types})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from importlib.util import find_spec
 from typing import Any, NoReturn
 
 import gymnasium as gym
@@ -50,7 +51,12 @@ NEVER_CALLED: dict[str, str] = {
 }
 REASONS: dict[str, str] = {
     **NEVER_CALLED,
-    **_all("act step action history log vehicle_class record_history", _COPY),
+    "action": "info has the ego's acceleration, jerk and action",
+    **_all("polygon", "position, heading, LENGTH and WIDTH say where a vehicle is"),
+    **_all("speed_to_index index_to_speed", "env.unwrapped.action_type.target_speeds has the speeds"),
+    **_all("target_lane_index timer", "of the ego alone, as the simulator decides on the others' lanes"),
+    **_all("next_lane shortest_path", "env.unwrapped.scenario has the routes"),
+    **_all("act step history log vehicle_class record_history", _COPY),
     **_all("predict_trajectory predict_trajectory_constant_speed", _COPY),
     **_all("add_lane from_config straight_road_network to_config", _ROAD),
     **_all("viewer enable_auto_render", _PICTURES),
@@ -67,17 +73,18 @@ TYPES = {
         ("MultiAgentObservation", "MultiAgentAction"),
         "gym.make and sumo_env.parallel_env make several learning cars",
     ),
-    **dict.fromkeys(
-        ("KinematicsGoal", "AttributesObservation"),
-        "it belongs to a road that is not here",
-    ),
+    "KinematicsGoal": "it belongs to a road that is not here",
+    "AttributesObservation": "a gymnasium.ObservationWrapper can read the attributes of env.unwrapped",
     "TupleObservation": "a gymnasium.ObservationWrapper can join observations",
 }
 # Ids of highway-env that are not here: other roads, and of the tasks on SUMO the later versions.
 _ROADS = """lane-keeping-v0 merge-generic-v0 merge-generic-v1 parking-v0
     parking-ActionRepeat-v0 parking-parked-v0 racetrack-v0 racetrack-v1 racetrack-large-v0 racetrack-large-v1
     racetrack-oval-v0 racetrack-oval-v1 roundabout-generic-v0 roundabout-generic-v1"""
+# Without highway-env its own ids say how they are called here; with it they are its own.
+_ITS_OWN = "highway highway-fast two-way roundabout intersection u-turn merge exit"
 NOT_HERE = {
+    **({} if find_spec("highway_env") else {f"{of}-v0": f"use sumo/{of}-v0" for of in _ITS_OWN.split()}),
     **{
         f"{of}/{id}": "write a network or a task of your own"
         for of in ("sumo", "replica")

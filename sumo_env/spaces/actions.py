@@ -297,7 +297,8 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
     agent = bool(axes[0]) and not lengthwise, bool(axes[1]) and not sideways
     shared: dict[str, Any] = {"by_sumo": (lengthwise, sideways)}
     if kind == "DiscreteMetaAction":
-        speeds = _rising("'target_speeds' [m/s]", action.get("target_speeds") or target_speeds)
+        own = action.get("target_speeds")
+        speeds = _rising("'target_speeds' [m/s]", target_speeds if own is None else own)
         return DiscreteMetaAction(NAMES[agent], speeds, **shared)
     given = shared | {name: bool(action[name]) for name in ("dynamical", "clip") if name in action}
     ranges = [name for name in action if name.endswith("_range") and action[name]]

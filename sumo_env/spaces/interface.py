@@ -23,7 +23,7 @@ from sumo_env.spaces.lidar import Lidar
 from sumo_env.spaces.observation import ExitObservation, Kinematics, TimeToCollision
 from sumo_env.spaces.occupancy import OccupancyGrid
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.base import Task
+from sumo_env.tasks.base import TARGET_SPEEDS, Task
 
 ObservationType = Kinematics | TimeToCollision | OccupancyGrid | Grayscale | Lidar | LeadersFollowers
 
@@ -50,6 +50,10 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
             f"{config['action']['type']!r} on sumo/*: its lateral number changes lanes (left below -1/3, right above "
             f"1/3); in highway-env and on replica/* it steers ({page('control')})"
         )
+    own, asked = task.target_speeds, config["action"].get("target_speeds")
+    if task.reference and kind.names and asked is None and own != TARGET_SPEEDS:
+        has = f"config['action'] without 'target_speeds' has those of {task.name!r}, {own} m/s"
+        warn_once(f"{has}; in highway-env {TARGET_SPEEDS} ({page('control')})")
     limits = task.reward_limits(config)
     is_asked = "normalize_reward" not in task.defaults or config["normalize_reward"]
     if limits and is_asked and limits[0] == limits[1]:

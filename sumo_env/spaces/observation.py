@@ -266,11 +266,11 @@ def ranges_of(given: Any, known: tuple[str, ...] = FEATURES) -> dict[str, tuple[
     """Ranges of features that can be mapped to [-1, 1]."""
     try:
         ranges = {name: (float(low), float(high)) for name, (low, high) in given.items()}
-        is_right = all(abs(high - low) > 0.0 for low, high in ranges.values())
+        is_right = all(low < high for low, high in ranges.values())
     except (AttributeError, TypeError, ValueError):
         is_right = False
     if not is_right:
-        raise ConfigError(f"observation 'features_range' must map features to [low, high], not {given!r}")
+        raise ConfigError(f"observation 'features_range' needs rising [low, high] by feature, not {given!r}")
     return {one_of("feature in 'features_range':", name, known): limits for name, limits in ranges.items()}
 
 

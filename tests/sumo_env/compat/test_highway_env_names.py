@@ -25,6 +25,8 @@ from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.replica.batch import reward_weights
 from sumo_env.spaces.interface import interface
 from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import TARGET_SPEEDS
+from tests.processes import python_again
 from tests.sumo_env.parity import stock
 from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
 
@@ -80,6 +82,35 @@ def test_a_key_that_highway_env_ignores_is_ignored_and_said_once(id: str) -> Non
         env.configure({"initial_spacing": 3})
     plain: Any = gym.make(id, config={"vehicles_count": 5}).unwrapped
     assert np.array_equal(env.reset(seed=1)[0], plain.reset(seed=1)[0])
+
+
+def test_an_id_without_a_prefix_says_how_it_is_called_here() -> None:
+    """Where highway-env is not installed; else the ids are its own."""
+    lines = (
+        "import sys",
+        "sys.modules['highway_env'] = None",
+        "import gymnasium, sumo_env",
+        "try: gymnasium.make('highway-v0')",
+        "except gymnasium.error.UnregisteredEnv as error: print(error)",
+    )
+    assert "use sumo/highway-v0" in python_again("-c", "\n".join(lines))
+    assert not set(sumo_env.not_here.NOT_HERE) & {f"{task}-v0" for task in OF_HIGHWAY_ENV}
+
+
+@pytest.mark.parametrize(
+    "task", [name for name in OF_HIGHWAY_ENV if TASKS[name].target_speeds != TARGET_SPEEDS]
+)
+def test_an_action_without_target_speeds_has_the_task_s_and_is_told_of_highway_env_s(task: str) -> None:
+    warn_once.cache_clear()
+    own = TASKS[task]
+    action = {"type": "DiscreteMetaAction"}
+    with pytest.warns(UserWarning, match=r"'target_speeds'.*highway-env \(20.0, 25.0, 30.0\)"):
+        made = interface(own, resolve(task, own.defaults, {"action": action}))
+    assert made.action_type.target_speeds == own.target_speeds
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        interface(own, resolve(task, own.defaults, {"action": {**action, "target_speeds": [0, 1]}}))
+        interface(own, resolve(task, own.defaults))
 
 
 @pytest.mark.parametrize(

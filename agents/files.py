@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import errno
-import io
 import os
-import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-
-LARGEST = 2**33  # bytes of a file, and of what an npz holds; more would fill the memory or take hours
 
 
 class DamagedFile(RuntimeError):
@@ -29,15 +24,6 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def open_regular(path: Path) -> io.BufferedReader:
-    """A file to be read. Raises OSError where it is a folder, a device or a pipe, or without an end for a reader."""
-    about = path.stat()
-    if not stat.S_ISREG(about.st_mode) or about.st_size > LARGEST:
-        why = "more than 8 GiB" if stat.S_ISREG(about.st_mode) else "no regular file"
-        raise OSError(errno.EINVAL, why, str(path))
-    return path.open("rb")
-
-
 @contextmanager
 def atomic(path: Path) -> Iterator[BinaryIO]:
     """A file to be written in the place of ``path``: readers see the old content or all of the new one.
@@ -46,8 +32,7 @@ def atomic(path: Path) -> Iterator[BinaryIO]:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        temporary.unlink(missing_ok=True)
-        with temporary.open("xb") as file:  # a link that somebody has put there is not followed
+        with temporary.open("wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -77,9 +62,7 @@ def load_arrays(path: str | Path, begins: tuple[str, ...] = ("",)) -> dict[str, 
     Raises DamagedFile when the file is damaged, FileNotFoundError when there is none.
     """
     try:
-        with open_regular(Path(path)) as file, np.load(file, allow_pickle=False) as archive:
-            if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
-                raise ValueError("more than 8 GiB when it is unpacked")
+        with np.load(path, allow_pickle=False) as archive:
             # reads each to its end: checks its CRC-32; an entry that is no array is bytes
             return {name: np.asarray(archive[name]) for name in archive.files if name.startswith(begins)}
     except FileNotFoundError:

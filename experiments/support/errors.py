@@ -12,7 +12,6 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO, cast
 
 from agents import plugins
 from agents.files import DamagedFile
@@ -82,33 +81,8 @@ def writing(directory: Path) -> Iterator[None]:
         raise disk_error(error, directory) from None
 
 
-class Shown:
-    """A stream that shows control characters as escapes: a name in somebody's file must not command the terminal."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        """Write it."""
-        shown = (c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
-        return self._stream.write(text if text.isprintable() else "".join(shown))
-
-    def isatty(self) -> bool:
-        """No: colours are control characters, too."""
-        return False
-
-    def over(self) -> bool:
-        """Begin the line again, if this is a terminal; returns whether it is one."""
-        return self._stream.isatty() and bool(self._stream.write("\r\x1b[K"))
-
-
 def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     """Run a command's `main` and leave the process with its exit status (0, 1, 2 or 130).
-
-    From now on the process' words are `Shown`.
 
     SIGINT and SIGTERM end it with one line: in order, as KeyboardInterrupt, or after LEAVE seconds wherever it is,
     which harms nothing, because every file is written atomically.
@@ -116,7 +90,6 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     Args:
         resumes: whether the same command goes on where it was stopped, which is then said.
     """
-    sys.stdout, sys.stderr = cast(TextIO, Shown(sys.stdout)), cast(TextIO, Shown(sys.stderr))
     again = f"; what is finished is kept. To go on: {shlex.join(['python', *sys.argv])}" if resumes else ""
     said = threading.Lock()
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
-import io
 import json
 import math
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,8 +13,7 @@ from typing import Any
 import numpy as np
 from filelock import FileLock
 
-from agents.files import atomic, open_regular
-from agents.schema import parsed
+from agents.files import atomic
 
 
 def canonical_json(value: Any) -> str:
@@ -47,50 +43,20 @@ def sha256_bytes(data: bytes) -> str:
 
 
 def sha256_file(path: Path) -> str:
-    """Hexadecimal SHA-256 of the bytes of a file of results. Raises OSError as `opened` does."""
-    with opened(path) as file:
+    """Hexadecimal SHA-256 of the bytes of a file."""
+    with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def opened(path: Path) -> io.BufferedReader:
-    """A regular file of a folder of results, to be read. Raises OSError where a link, a folder or a pipe lies there."""
-    if path.is_symlink():
-        raise OSError(errno.ELOOP, "a link lies in its place", str(path))
-    return open_regular(path)
-
-
-def read_text(path: Path) -> str:
-    """The text of a file of results. Raises OSError as `opened` does, or UnicodeDecodeError."""
-    with opened(path) as file:
-        return file.read().decode()
-
-
 def read_json(path: Path) -> Any:
-    """The value of a JSON file, see `agents.schema.parsed`. Raises OSError, or ValueError."""
-    return parsed(read_text(path))
-
-
-def not_followed(name: str, flags: int) -> int:
-    """For `open(..., opener=)`: OSError where a link lies in the place of the file, or a pipe without a reader."""
-    return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+    """The value of a JSON file. Raises OSError, or ValueError."""
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def made(folder: Path) -> Path:
-    """A folder to write in, which is made if it is missing. Raises OSError where a link lies in its place."""
+    """A folder to write in, which is made if it is missing."""
     folder.mkdir(parents=True, exist_ok=True)
-    if folder.is_symlink():
-        raise OSError(errno.ENOTDIR, "a link lies in its place", str(folder))
     return folder
-
-
-def is_name(name: object) -> bool:
-    """Whether this can be the name of a file in a folder, and leads nowhere else."""
-    return (
-        isinstance(name, str)
-        and name == Path(name).name
-        and name.isprintable()
-        and name not in ("", ".", "..")
-    )
 
 
 def write_file(path: Path, data: bytes) -> None:

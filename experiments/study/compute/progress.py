@@ -61,7 +61,6 @@ class ProgressDisplay(Observer):
         self._shown = time.monotonic()
         self._others = set(finished)  # tasks that say nothing about this run's speed
         self._seen: deque[tuple[float, float]] = deque()  # when, and what was done by then [s]
-        self._over = getattr(sys.stdout, "over", lambda: False)
 
     def tell(self, task: Task, state: str, words: str = "") -> None:
         """A task is in another state now."""
@@ -90,6 +89,10 @@ class ProgressDisplay(Observer):
         """Show what has come of it."""
         self._over()
         print(self._line(), flush=True)
+
+    def _over(self) -> bool:
+        """Begin the line again, if this is a terminal; returns whether it is one."""
+        return bool(sys.stdout and sys.stdout.isatty() and sys.stdout.write("\r\x1b[K"))
 
     def _line(self) -> str:
         done, total, counts = self._done(), sum(self._costs.values()), Counter(self._state.values())

@@ -27,7 +27,7 @@ from filelock import FileLock, Timeout
 
 from experiments.study.results.working import LOCK, LOG, PROGRESS, last_words
 from experiments.support.errors import FULL, UserError, disk_error, in_a_line
-from experiments.support.files import made, not_followed
+from experiments.support.files import made
 from sumo_env.simulator import SimulatorError
 
 RETRIES = 3  # a task that is lost is begun again at most so often
@@ -129,7 +129,7 @@ def compute_here(task: Task) -> None:
 
 def log(folder: Path, text: str) -> None:
     """Add some text, with the time, to a task's log. A full disk must not hide the error that is being logged."""
-    with suppress(OSError), open(folder / LOG, "a", opener=not_followed) as file:
+    with suppress(OSError), open(folder / LOG, "a") as file:
         file.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')}\n{text.rstrip()}\n")
 
 
@@ -163,7 +163,7 @@ def watched(folder: Path, silence: float) -> Iterator[Heartbeat]:
     in a deadlock and in an endless loop of a library as well.
     """
     last = -POLL
-    with open(folder / LOG, "a", opener=not_followed) as file:
+    with open(folder / LOG, "a") as file:
 
         def heartbeat(fraction: float) -> None:
             nonlocal last
@@ -173,7 +173,7 @@ def watched(folder: Path, silence: float) -> Iterator[Heartbeat]:
             last = now
             faulthandler.dump_traceback_later(silence, exit=True, file=file)
             # a result says so itself if it cannot be written
-            with suppress(OSError), open(folder / PROGRESS, "w", opener=not_followed) as progress:
+            with suppress(OSError), open(folder / PROGRESS, "w") as progress:
                 json.dump(fraction, progress)
 
         faulthandler.enable(file)

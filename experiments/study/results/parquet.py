@@ -1,8 +1,7 @@
 """Files of results: rows of a schema, a text that says what they are, and a checksum of both.
 
 `packed` writes and `unpacked` reads every such file: those of cells here, those of other tasks in `part`. They are
-parquet files, whose metadata has the text as "records" and the checksum as "sha256". Nothing in them is unpickled;
-links are not followed, and sizes are looked at before anything is read.
+parquet files, whose metadata has the text as "records" and the checksum as "sha256". Nothing in them is unpickled.
 
 A file of cells has the test episodes of one or of several as rows of `schema.SCHEMA`; its text is JSON, the record of
 each cell by name.
@@ -23,13 +22,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from agents.schema import Wrong, check, parsed
 from experiments.study.results.schema import PURPOSES, SCHEMA, check_record, check_table
 from experiments.support.errors import UserError
-from experiments.support.files import opened
 
 T = TypeVar("T")
-ROWS, BYTES = 2**22, 2**31  # of a file at most: rows, and bytes when it is unpacked
 
 
 class Damaged(UserError):
@@ -67,7 +63,7 @@ def asked_of(path: Path, asked: Callable[[Path], T], damaged: type[Damaged]) -> 
 
 
 def content(records: Mapping[str, Mapping[str, Any]], table: pa.Table) -> bytes:
-    """The bytes of a file with these cells. Raises Wrong where it could not be read."""
+    """The bytes of a file with these cells. Raises ValueError where it could not be read."""
     for name, record in records.items():
         check_record(name, record)
     check_table(table, records)
@@ -102,26 +98,24 @@ def digest(table: pa.Table, text: str = "") -> str:
 
 
 def records(path: Path) -> dict[str, dict[str, Any]]:
-    """The records in a file by name. Raises Wrong; OSError."""
+    """The records in a file by name. Raises ValueError; OSError."""
     return _records(path, *_state(path))
 
 
 def frames(path: Path) -> dict[str, dict[str, pd.DataFrame]]:
-    """The tables in a file, by cell and by name, after comparing all of it with its checksum. Raises Wrong; OSError."""
+    """The tables in a file, by cell and by name, compared with its checksum. Raises ValueError; OSError."""
     return _frames(path, *_state(path))
 
 
 def _state(path: Path) -> tuple[int, int, int]:
-    about = path.lstat()
+    about = path.stat()
     return about.st_ino, about.st_mtime_ns, about.st_size
 
 
 @lru_cache(2**16)  # more than a sweep has cells
 def _records(path: Path, *state: int) -> dict[str, dict[str, Any]]:
-    with opened(path) as file:
-        text, _ = _metadata(pq.ParquetFile(file))
-    found: dict[str, dict[str, Any]] = parsed(text)
-    check(found, dict)
+    text, _ = _metadata(pq.read_metadata(path))
+    found: dict[str, dict[str, Any]] = json.loads(text)
     for name, record in found.items():
         check_record(name, record)
     return found
@@ -147,38 +141,22 @@ def read(path: Path) -> pa.Table:
 
 
 def unpacked(path: Path, schema: pa.Schema) -> tuple[pa.Table, str]:
-    """The rows and the text of a file, after comparing both with its checksum. Raises Wrong, or as pyarrow does."""
-    with opened(path) as file:
-        parquet = pq.ParquetFile(file)
-        text, expected = _metadata(parquet)
+    """The rows and the text of a file, compared with its checksum. Raises ValueError, or as pyarrow does."""
+    with pq.ParquetFile(path) as parquet:
+        text, expected = _metadata(parquet.metadata)
         columns = parquet.schema_arrow.remove_metadata()
         if columns != schema:
             odd = [str(field) for field in schema if field not in columns] or columns.names
-            raise Wrong(f"its columns are not those that this version writes: {', '.join(odd[:3])}")
-        _check_size(parquet)
+            raise ValueError(f"its columns are not those that this version writes: {', '.join(odd[:3])}")
         table = parquet.read()
     if digest(table, text) != expected:
-        raise Wrong("its checksum does not match")
+        raise ValueError("its checksum does not match")
     return table, text
 
 
-def frame(path: Path) -> pd.DataFrame:
-    """The rows of another parquet file of a folder of results. Raises Wrong, or as pandas does."""
-    with opened(path) as file:
-        _check_size(pq.ParquetFile(file))
-        return pd.read_parquet(file)
-
-
-def _check_size(parquet: pq.ParquetFile) -> None:
-    about = parquet.metadata
-    unpacked = sum(about.row_group(k).total_byte_size for k in range(parquet.num_row_groups))
-    if about.num_rows > ROWS or unpacked > BYTES:
-        raise Wrong(f"it has {about.num_rows} rows and {unpacked} bytes: too many")
-
-
-def _metadata(parquet: pq.ParquetFile) -> tuple[str, str]:
+def _metadata(about: pq.FileMetaData) -> tuple[str, str]:
     """The text of the records, and the checksum."""
-    metadata = parquet.metadata.metadata or {}
+    metadata = about.metadata or {}
     if not metadata.keys() >= {b"records", b"sha256"}:
-        raise Wrong("it has no records")
+        raise ValueError("it has no records")
     return metadata[b"records"].decode(), metadata[b"sha256"].decode()

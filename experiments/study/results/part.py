@@ -13,7 +13,6 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from agents.schema import Wrong
 from experiments.study.results.parquet import Damaged, asked_of, packed, unpacked
 from experiments.study.results.schema import as_table, schema_of
 from experiments.support.files import made, write_file
@@ -59,20 +58,20 @@ class PartFile:
         def checked(path: Path) -> pd.DataFrame:
             table, name = unpacked(path, self._schema)
             if name != self.name:
-                raise Wrong(f"its content is that of {name}")
+                raise ValueError(f"its content is that of {name}")
             return self._expected(table).to_pandas()
 
         return asked_of(self.path, checked, DamagedEpisodes)
 
     def write(self, rows: pd.DataFrame) -> None:
-        """Store the episodes. Raises Wrong where they are not those that a reader takes; OSError."""
+        """Store the episodes. Raises ValueError where they are not those that a reader takes; OSError."""
         table = self._expected(as_table(rows, self._schema))
         made(self.path.parent)
         write_file(self.path, packed(table, self.name))
 
     def _expected(self, table: pa.Table) -> pa.Table:
-        """The rows, which are those of the episodes, or it raises Wrong."""
+        """The rows, which are those of the episodes, or it raises ValueError."""
         for column, values in self.episodes.items():
             if table[column].to_pylist() != list(values):
-                raise Wrong(f"its episodes are not those that are asked for: look at {column}")
+                raise ValueError(f"its episodes are not those that are asked for: look at {column}")
         return table

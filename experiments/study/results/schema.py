@@ -15,11 +15,9 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from agents.schema import Wrong, check
 from experiments.study.design.arms import gate_traffics
 from experiments.study.design.cell import RESULT_SCHEMA, cell_name
 from experiments.study.design.traffic import TRAFFICS
-from experiments.support.files import is_name
 from sumo_env.tasks import TASKS
 
 # What a cell leaves behind, as its record calls it under "files".
@@ -73,23 +71,20 @@ SCHEMA = schema_of({"cell": "str", "purpose": "str", **COLUMNS}, OF_CRASH)
 
 
 def check_record(name: str, record: Any) -> None:
-    """That this is the record of the cell of this name, which has the hash of its key. Raises Wrong, or KeyError."""
-    key = {"kind": ("agent", "baseline", "test"), "task": tuple(TASKS)}  # TASKS: a user may add to them
-    check(record, {"schema": int})
+    """That this is the record of the cell of this name, the hash of its key. Raises ValueError, or KeyError."""
     if (schema := record["schema"]) != RESULT_SCHEMA:
-        raise Wrong(
+        raise ValueError(
             f"version {schema} of such files has written it, and this is {RESULT_SCHEMA}; results/FROZEN.md names the "
             "commits that read published ones"
         )
-    check(record, {"key": key, "versions": dict, "files": {EPISODES: str}})
-    if not is_name(name):
-        raise Wrong("the name of a cell leads elsewhere")
+    if (task := record["key"]["task"]) not in TASKS:
+        raise ValueError(f"its task {task!r} is not here: import what adds it to TASKS")
     if (own := cell_name(record["key"], record["versions"])) != name:
-        raise Wrong(f"its content is that of {own}")
+        raise ValueError(f"its content is that of {own}")
 
 
 def table_of(name: str, tables: Mapping[str, pd.DataFrame]) -> pa.Table:
-    """The test episodes of a cell, and those that its gates are judged on, as rows of SCHEMA. Raises Wrong."""
+    """The test episodes of a cell, and those that its gates are judged on, as rows of SCHEMA. Raises ValueError."""
     parts = []
     for file, purpose in PURPOSES.items():
         if file in tables:
@@ -98,19 +93,19 @@ def table_of(name: str, tables: Mapping[str, pd.DataFrame]) -> pa.Table:
 
 
 def as_table(rows: pd.DataFrame, schema: pa.Schema | None) -> pa.Table:
-    """Rows with the columns of a schema. Raises Wrong where one is not there, of another type, or lacks values."""
+    """Rows with the columns of a schema. Raises ValueError where one is not there, of another type, or lacks values."""
     try:
         return pa.Table.from_pandas(rows, schema=schema, preserve_index=False)
     except (ValueError, KeyError, TypeError) as error:  # pyarrow's are among them
-        raise Wrong(str(error).partition("\n")[0]) from None
+        raise ValueError(str(error).partition("\n")[0]) from None
 
 
 def check_table(table: pa.Table, records: Mapping[str, Mapping[str, Any]]) -> dict[Any, pd.DataFrame]:
-    """By cell and purpose the rows of a table of SCHEMA: the episodes of these records' cells, or it raises Wrong."""
+    """By cell and purpose the rows of a table of SCHEMA: the episodes of these records' cells, or ValueError."""
     rows = table.to_pandas()
     for column in FINITE:
         if not np.isfinite(rows[column]).all():
-            raise Wrong(f"{column} is not always a finite number")
+            raise ValueError(f"{column} is not always a finite number")
     found = dict(list(rows.groupby(["cell", "purpose"], sort=False)))
     odd = dict(found)
     for name, record in records.items():
@@ -118,12 +113,12 @@ def check_table(table: pa.Table, records: Mapping[str, Mapping[str, Any]]) -> di
             if file in record["files"]:
                 check_rows(record["key"], file, odd.pop((name, purpose), rows.iloc[:0]))
     if odd:
-        raise Wrong(f"it has rows of {next(iter(odd))}, without a record")
+        raise ValueError(f"it has rows of {next(iter(odd))}, without a record")
     return found
 
 
 def check_rows(key: Mapping[str, Any], file: str, rows: pd.DataFrame) -> None:
-    """That a cell has each of its scenarios once, in each of its traffics. Raises Wrong, with the scenario."""
+    """That a cell has each of its scenarios once, in each of its traffics. Raises ValueError, with the scenario."""
     if file == EPISODES:
         asked = {"traffics": TRAFFICS, "episodes": key["eval"]["episodes"], **(key.get("test_on") or {})}
     else:
@@ -133,7 +128,7 @@ def check_rows(key: Mapping[str, Any], file: str, rows: pd.DataFrame) -> None:
     wanted = ((traffic, number) for traffic in asked["traffics"] for number in numbers)
     there = Counter(zip(rows["traffic"].tolist(), rows["scenario"].tolist(), strict=True))
     for traffic, number in chain((row for row in wanted if there.pop(row, 0) != 1), there):
-        raise Wrong(
+        raise ValueError(
             f"{file} has {len(rows)} rows, and its record asks for {len(asked['traffics']) * len(numbers)}: look at "
             f"scenario {number} in {traffic} traffic"
         )

@@ -24,7 +24,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from agents.schema import check
 from experiments.study.design.cell import RESULT_SCHEMA, Cell, setting
 from experiments.study.results import parquet
 from experiments.study.results.parquet import DamagedCell, DamagedPart, asked_of
@@ -34,7 +33,6 @@ from experiments.support.errors import UserError
 from experiments.support.files import (
     alone,
     made,
-    opened,
     read_json,
     sha256_bytes,
     sha256_file,
@@ -93,7 +91,7 @@ class Store:
     def _find(self, name: str, of: str) -> Any:
         """A cell's part of the "records" or "frames" of the file that it is in. Raises as `record` does."""
         own = self._own(name)
-        if own.exists() or own.is_symlink():
+        if own.exists():
             found = asked_of(own, getattr(parquet, of), DamagedCell)
             if list(found) != [name]:
                 raise DamagedCell(own, f"its content is that of {', '.join(found)}")
@@ -126,7 +124,7 @@ class Store:
         """An agent's training episodes. Raises DamagedCell; KeyError where they are not kept."""
         if (path := self._beside(name, TRAINING)) is None:
             raise KeyError(name)
-        return asked_of(path, parquet.frame, DamagedCell)
+        return asked_of(path, pd.read_parquet, DamagedCell)
 
     def weights(self, name: str) -> Path | None:
         """The file of an agent's weights; None if it is not here. Raises DamagedCell where they are others'."""
@@ -137,7 +135,6 @@ class Store:
         path = self.directory / folder / f"{name}{ending}"
         if not path.exists():
             return None
-        asked_of(path, opened, DamagedCell).close()  # a link or a pipe
         digest = self.record(name)["files"].get(file)
         # published weights of packed cells may be in half precision
         if self._own(name).exists() and asked_of(path, sha256_file, DamagedCell) != digest:
@@ -170,7 +167,7 @@ class Store:
                 path of the file).
 
         Raises:
-            Wrong: it is not what a reader takes (`schema`). OSError: the disk is full or the directory cannot be
+            ValueError: it is not what a reader takes (`schema`). OSError: the disk is full or the directory cannot be
                 written. It is not finished then.
         """
         table = table_of(cell.name, files)
@@ -210,11 +207,10 @@ class Store:
         path = self.directory / SWEEPS
         try:
             noted = read_json(path)
-            check(noted, {"sweeps": [{"command": str, "cells": [str]}]})
             return [{"command": sweep["command"], "cells": sweep["cells"]} for sweep in noted["sweeps"]]
         except FileNotFoundError:
             return []
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             reason = str(error).partition("\n")[0]
             raise UserError(
                 f"{path} is damaged ({reason}): delete this file and run the sweep again"

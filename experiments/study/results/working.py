@@ -10,8 +10,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from experiments.support.files import opened, read_text
-
 LAST = 10_000  # bytes of a log that are looked at
 LOCK, PROGRESS, LOG = "lock", "progress.json", "log.txt"
 
@@ -19,7 +17,7 @@ LOCK, PROGRESS, LOG = "lock", "progress.json", "log.txt"
 def fraction_done(folder: Path) -> float:
     """The share of a running task that is done, 0 if it has not said so yet."""
     try:
-        return float(read_text(folder / PROGRESS))
+        return float((folder / PROGRESS).read_text())
     except (OSError, ValueError):
         return 0.0
 
@@ -30,7 +28,7 @@ def last_words(folder: Path) -> str:
         # A try begins by saying that nothing is done.
         if _changed(folder / LOG) < _changed(folder / PROGRESS):
             return ""
-        with opened(folder / LOG) as file:
+        with (folder / LOG).open("rb") as file:
             file.seek(max(os.fstat(file.fileno()).st_size - LAST, 0))
             return file.read(LAST).decode(errors="replace").rstrip().rpartition("\n")[2]
     except OSError:

@@ -1,40 +1,30 @@
-"""Files of other people: what they name is neither run nor read, and nothing is written through their links."""
+"""Files of other people run no code, and what a user can put right is said in a line."""
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
 import sys
 from collections.abc import Callable
-from contextlib import nullcontext
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from PIL import Image
 
 import agents
 from agents import pretrained
 from agents.episodes import Episodes
-from agents.files import DamagedFile, atomic
+from agents.files import DamagedFile
 from agents.greedy import Greedy
 from agents.models import DuelingMLP, EgoAttention
 from agents.plugins import sha256
-from experiments.reporting.page import LARGEST, films
 from experiments.study.compute.policies import driver
-from experiments.study.compute.run import locked, log, watched
 from experiments.study.design.cell import learner_of
 from experiments.study.replaying.rerun import Case, play_again
-from experiments.study.results.loaded import load
-from experiments.study.results.store import DamagedCell, Store
-from experiments.study.results.working import LOCK, LOG, PROGRESS, fraction_done
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError, run_command
-from experiments.support.files import alone, made
-from experiments.support.films import save_gif
 from tests.experiments.fake_env import FakeEnv
 
 
@@ -90,115 +80,6 @@ def test_an_agent_s_card_runs_nothing(evil: Path, tmp_path: Path) -> None:
     assert np.array_equal(given.q(observation), ours.q(observation))
 
 
-@pytest.mark.parametrize(("place", "kind"), [("cells", "pipe"), ("cells", "folder"), ("parts", "device")])
-def test_what_is_no_file_is_not_read(results: Path, place: str, kind: str) -> None:
-    if place == "parts":
-        Store(results).pack()
-    file = min((results / place).iterdir())
-    file.unlink()
-    if kind == "pipe":
-        os.mkfifo(file)
-    elif kind == "device":
-        file.symlink_to("/dev/zero")
-    else:
-        file.mkdir()
-    if place == "cells":
-        assert "is damaged" in load(results).damaged[file.stem]
-    else:
-        with pytest.raises(UserError, match=rf"{file.name} is damaged"):
-            load(results)
-
-
-BESIDE = ["weights/{}.npz", "training/{}.parquet"]
-
-
-@pytest.mark.parametrize(
-    ("place", "is_packed"),
-    [*((place, False) for place in ("cells/{}.parquet", "work/{}/log.txt")), *product(BESIDE, (False, True))],
-)
-def test_no_link_is_followed(results: Path, tmp_path: Path, place: str, is_packed: bool) -> None:
-    """A private file would come into the report, or go to whoever gets the folder."""
-    name = min(Store(results).agents())
-    if is_packed:
-        Store(results).pack()
-    file = results / place.format(name)
-    made(file.parent)
-    if file.exists():
-        file.rename(tmp_path / "private")
-    else:
-        (tmp_path / "private").write_text("secret")
-        Store(results)._own(name).unlink()
-    file.symlink_to(tmp_path / "private")
-    if "log" in place:
-        assert not Store(results).failures()
-    else:
-        with pytest.raises(DamagedCell, match="a link lies in its place"):
-            Store(results).is_whole(name)
-
-
-def test_a_film_is_a_picture_and_no_link(tmp_path: Path) -> None:
-    """What lies there comes into a report, which people send to each other."""
-    film, long, private = (tmp_path / name for name in ("film.gif", "long.gif", "private.gif"))
-    film.write_bytes(b"GIF89a...")
-    long.write_bytes(b"GIF89a...")
-    os.truncate(long, LARGEST + 1)
-    private.write_text("secret")
-    (tmp_path / "link.gif").symlink_to(film)
-    (tmp_path / "folder.gif").mkdir()
-    assert list(films(tmp_path)) == ["film.gif"]
-
-
-# The name of a link in a folder, and what writes there in its place.
-OUTPUTS: dict[str, Callable[[Path], Any]] = {
-    ".out.json.{pid}.tmp": lambda folder: atomic(folder / "out.json"),
-    "film.gif": lambda folder: save_gif([Image.new("RGB", (4, 4))], folder / "film.gif"),
-    LOG: lambda folder: log(folder, "words"),
-    PROGRESS: lambda folder: watched(folder, 60.0),
-    ".lock": alone,
-    LOCK: locked,
-}
-
-
-@pytest.mark.parametrize("name", OUTPUTS)
-def test_a_link_in_the_place_of_an_output_is_not_followed(name: str, tmp_path: Path) -> None:
-    precious, folder = tmp_path / "precious", made(tmp_path / "folder")
-    precious.write_text("mine")
-    (folder / name.format(pid=os.getpid())).symlink_to(precious)
-    with OUTPUTS[name](folder) or nullcontext():
-        pass
-    assert precious.read_text() == "mine"
-
-
-@pytest.mark.parametrize("kind", ["parts", "work", "cells", "damaged"])
-def test_a_link_in_the_place_of_a_folder_is_not_followed(kind: str, results: Path, tmp_path: Path) -> None:
-    precious = tmp_path / "precious"
-    precious.mkdir()
-    shutil.rmtree(results / kind, ignore_errors=kind != "cells")
-    (results / kind).symlink_to(precious)
-    with pytest.raises(OSError, match="a link lies in its place"):
-        made(results / kind)
-    with pytest.raises(OSError, match="a link lies in its place"):
-        if kind == "parts":
-            Store(results).pack()
-        elif kind == "damaged":
-            Store(results).put_aside(min((results / "cells").iterdir()).stem)
-        else:
-            Store(results).write_sweep("sweep", [])
-    assert not list(precious.iterdir())
-
-
-@pytest.mark.parametrize("file", [LOG, PROGRESS])
-@pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_files_beside_the_cells_are_no_trap(file: str, kind: str, results: Path) -> None:
-    place = made(results / "work" / "cell") / file
-    if kind == "pipe":
-        os.mkfifo(place)
-    else:
-        place.symlink_to("/dev/zero")
-    Store(results).failures()
-    assert fraction_done(results / "work" / "cell") == 0.0
-
-
 @pytest.mark.parametrize(
     ("error", "word"),
     [
@@ -236,20 +117,6 @@ def test_a_reader_that_leaves_is_no_problem(
         monkeypatch.setattr(sys, "stdout", out)
         run_command(command)
     assert (ended.value.code, capsys.readouterr().err) == (1, "")
-
-
-def test_a_name_does_not_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    """Whatever a command prints, and however."""
-    words, shown = "\x1b]0;evil\x07 and\u202e other words", "\\x1b]0;evil\\x07 and\\u202e other words\n"
-
-    def command() -> int:
-        print(words)
-        print(words, file=sys.stderr)
-        raise UserError(words)
-
-    with pytest.raises(SystemExit):
-        run_command(command)
-    assert capsys.readouterr() == (shown, f"{shown}error: {shown}")
 
 
 def test_weights_and_values_are_numbers(tmp_path: Path) -> None:

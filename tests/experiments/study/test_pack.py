@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from experiments.study.design.presets import of_preset
-from experiments.study.results import parquet, store
+from experiments.study.results import store
 from experiments.study.results.loaded import load
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
@@ -135,10 +135,3 @@ def test_a_packing_that_is_killed_anywhere_loses_nothing_and_is_done_by_the_same
         assert not list((directory / "cells").iterdir())
         operations += every
     assert operations > 15
-
-
-def test_sizes_are_looked_at_before_reading(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A few bytes can be unpacked to any number of rows."""
-    monkeypatch.setattr(parquet, "ROWS", 5)
-    with pytest.raises(UserError, match="too many"):
-        load(results)

@@ -14,7 +14,6 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from agents.schema import Wrong, check, parsed
 from experiments.study.design.cell import cell_name
 from experiments.study.results import parquet
 from experiments.study.results.loaded import load
@@ -39,7 +38,7 @@ def rewritten(
     text, data = json.dumps({name: record}), io.BytesIO()
     try:
         table = as_table(rows, SCHEMA if rows.shape[1] == len(SCHEMA) else None)
-    except Wrong:
+    except ValueError:
         table = as_table(rows, None)
     with pq.ParquetWriter(data, table.schema, store_schema=False) as writer:
         writer.write_table(table)
@@ -50,10 +49,8 @@ def rewritten(
 
 
 RECORDS: list[tuple[Callable[[dict[str, Any]], object], str]] = [
-    (lambda r: r["key"].update(task="rush"), "key.task"),
-    (lambda r: r["key"].update(policy="../evil"), "leads elsewhere"),
+    (lambda r: r["key"].update(task="rush"), "its task 'rush'"),
     (lambda r: r["key"].pop("eval"), "eval"),
-    (lambda r: r.update(key=[]), "key"),
     (lambda r: r.update(schema=99), "version 99"),
     (lambda r: r["files"].pop("gates.parquet"), "without a record"),
 ]
@@ -81,28 +78,3 @@ def test_wrong_contents_are_named(of_record: Any, of_rows: Any, said: str, resul
     found = load(results)
     assert re.search(rf"parquet is damaged \(.*{re.escape(said)}", found.damaged[other])
     assert other not in found.cells
-
-
-def test_strict_json() -> None:
-    for text in ('{"a": NaN}', '{"a": -Infinity}', "-1e999", "[" * 100_000, "{", ""):
-        with pytest.raises(ValueError, match=r".+"):
-            parsed(text)
-    assert parsed('{"a": [1, null]}') == {"a": [1, None]}
-
-
-@pytest.mark.parametrize(
-    ("value", "expected", "said"),
-    [
-        (True, int, "it must be int, not True"),
-        ({"a": 1}, {"b": int}, "it.b is missing"),
-        ({"a": [1, "2"]}, {"a": [int]}, r"it.a[1] must be int, not '2'"),
-        (5, range(3), "it must be a whole number from 0 to 2, not 5"),
-        (["x"], ("x", None), "it must be one of x, None, not ['x']"),
-        (3, {"a": int}, "it must be dict, not 3"),
-        ([1, 2], [int] * 3, "it must have 3 items, not 2"),
-    ],
-)
-def test_expectations(value: object, expected: object, said: str) -> None:
-    with pytest.raises(Wrong, match=re.escape(said)):
-        check(value, expected, "it")
-    check({"a": [1, 2.0], "c": None}, {"a": [int | float], "b?": str, "c": (None, "x")})

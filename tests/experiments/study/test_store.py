@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.schema import Wrong
 from experiments.report import write_report
 from experiments.study.compute.run import attempt
 from experiments.study.design.cell import Cell
@@ -64,7 +63,7 @@ def test_what_a_reader_would_refuse_is_not_stored(finished, tmp_path, cells, cha
     home, name = store.Store(finished), cells[0].name
     record, tables = home.record(name), home.tables(name)
     cell, files = change(cells[0], {**tables, store.WEIGHTS: home.weights(name)})
-    with pytest.raises(Wrong):
+    with pytest.raises(ValueError):
         store.Store(tmp_path).write(cell, {part: record[part] for part in ("timing", "learner")}, files)
     assert not list(tmp_path.glob("cells/*"))
 

@@ -13,6 +13,7 @@ from experiments.reporting.tables import NONE, chosen, points, titled
 from experiments.study.compute.evaluate import limits
 
 SETTING = ["task", "level", "traffic"]
+SHOWN = {name: one for name, one in COLUMNS.items() if name != "score"}  # whose marks are of the study's scenarios
 ALL = "all"  # levels of a task, each alike
 
 
@@ -23,7 +24,7 @@ def rows(episodes: pd.DataFrame) -> Iterator[dict[str, Any]]:
         episodes: the columns of a test episode, task and level; as many of each level.
 
     Yields:
-        task, level, traffic, episodes (their number), and of each of COLUMNS the value and the ends of its 95 %
+        task, level, traffic, episodes (their number), and of each of SHOWN the value and the ends of its 95 %
         interval; None where a task has no crossing to enter.
     """
     way = episodes.groupby(SETTING, sort=False)["distance"].transform("mean")
@@ -34,7 +35,7 @@ def rows(episodes: pd.DataFrame) -> Iterator[dict[str, Any]]:
         for level, group in ((ALL, both), *both.groupby("level", sort=False)):
             found = {
                 name: limits(group[name], kind.percent)
-                for name, kind in COLUMNS.items()
+                for name, kind in SHOWN.items()
                 if group[name].notna().all()
             }
             # the wider of two intervals: the ratio's fails at few crashes, and the crash rate's by the mean way at many
@@ -43,7 +44,7 @@ def rows(episodes: pd.DataFrame) -> Iterator[dict[str, Any]]:
             found["crashes_per_100_km"] = [value, max(min(low, least), 0.0), max(high, most)]
             numbers = {name: [float(f"{one:.5g}") for one in ends] for name, ends in found.items()}
             where = {"task": task, "level": level, "traffic": traffic, "episodes": len(group)}
-            yield {**where, **dict.fromkeys(COLUMNS), **numbers}
+            yield {**where, **dict.fromkeys(SHOWN), **numbers}
 
 
 def texts(cards: Mapping[str, Mapping[str, Any]], sets: Mapping[str, str]) -> pd.DataFrame:
@@ -53,7 +54,7 @@ def texts(cards: Mapping[str, Mapping[str, Any]], sets: Mapping[str, str]) -> pd
     """
     found = [
         {"driver": driver, **{name: row[name] for name in SETTING}, "scenarios": str(row["episodes"])}
-        | {titled(column): _interval(row[name], name) for name, column in COLUMNS.items()}
+        | {titled(column): _interval(row[name], name) for name, column in SHOWN.items()}
         for driver, card in cards.items()
         for row in card["rows"]
         if card["set"].get(row["task"]) == sets.get(row["task"])

@@ -124,7 +124,7 @@ def own_values(name: str, of: Callable[[pd.DataFrame], Any], episodes: pd.DataFr
 
 def answer(directory: Path) -> str:
     """The answer of a report that was written: its Markdown down to the first table, as plain text."""
-    text = (directory / TEXT).read_text()
+    text = (directory / TEXT).read_text(encoding="utf-8")
     words = text.partition("\n|")[0].partition("\n**Outcomes of your own")[0]
     return words.partition("\n\n")[2].replace("**", "").strip()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import shlex
 import signal
@@ -77,8 +78,20 @@ def writing(directory: Path) -> Iterator[None]:
     try:
         directory.mkdir(parents=True, exist_ok=True)
         yield
+    except BrokenPipeError:  # of our own output, see `run_command`
+        raise
     except OSError as error:
         raise disk_error(error, directory) from None
+
+
+def _open_streams() -> None:
+    """Take any terminal: none (a daemon), or one whose encoding lacks a character, which becomes a question mark."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  (to the end)
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def run_command(main: Callable[[], int], resumes: bool = False) -> None:
@@ -90,6 +103,7 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     Args:
         resumes: whether the same command goes on where it was stopped, which is then said.
     """
+    _open_streams()
     again = f"; what is finished is kept. To go on: {shlex.join(['python', *sys.argv])}" if resumes else ""
     said = threading.Lock()
 

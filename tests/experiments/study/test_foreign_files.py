@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -24,7 +25,7 @@ from experiments.study.compute.policies import driver
 from experiments.study.design.cell import learner_of
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results.store import Store
-from experiments.support.errors import UserError, run_command
+from experiments.support.errors import UserError, run_command, writing
 from tests.experiments.fake_env import FakeEnv
 
 
@@ -117,6 +118,23 @@ def test_a_reader_that_leaves_is_no_problem(
         monkeypatch.setattr(sys, "stdout", out)
         run_command(command)
     assert (ended.value.code, capsys.readouterr().err) == (1, "")
+
+
+def test_any_terminal_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that has not all characters, none at all (a daemon), and one whose reader has left in a folder's work."""
+
+    def command() -> int:
+        print("a − b")
+        return 0
+
+    for stream in (io.TextIOWrapper(written := io.BytesIO(), encoding="latin-1"), None):
+        monkeypatch.setattr(sys, "stdout", stream)
+        with pytest.raises(SystemExit) as ended:
+            run_command(command)
+        assert ended.value.code == 0
+    assert written.getvalue() == b"a ? b\n"
+    with pytest.raises(BrokenPipeError), writing(Path()):
+        raise BrokenPipeError
 
 
 def test_weights_and_values_are_numbers(tmp_path: Path) -> None:

@@ -156,7 +156,9 @@ def rates(rows: pd.DataFrame) -> pd.DataFrame:
             found.append(
                 {"leader": leader, "driver": name, "moments": len(times), **share, "to_the_end": end}
             )
-    return pd.DataFrame(found)
+    return pd.DataFrame(
+        found, columns=["leader", "driver", "moments", "crashed", "low", "high", "to_the_end"]
+    )
 
 
 def own_crashes(rows: pd.DataFrame) -> pd.DataFrame:

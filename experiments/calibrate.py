@@ -8,7 +8,8 @@ The same command run again continues where it was stopped. There are three parts
 drivers   searches the calibrated settings of SUMO's drivers (`Calibration`)
 risk      searches the rates of risk events (`RiskRates`) and the lower ends of the ranges of the drivers' parameters
           (`RiskRanges`)
-doses     measures how often egos crash at every dose in both simulators, with and without events
+doses     measures how often egos crash at every dose, with and without events, on SUMO and, if it has the task, on the
+          replica
 
 The first two compare the present settings with those that were found, on the scenarios of validation. They change no
 file of the package: copy the settings into the task's file by hand. Writes calibration.json and doses.csv.
@@ -32,6 +33,7 @@ import optuna
 import pandas as pd
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
+from experiments.backends import has, require
 from experiments.study.design.fingerprint import check_dynamics
 from experiments.study.design.levels import choose_tasks, level_names
 from experiments.study.design.sheet import GRID, Between, Space, sheet
@@ -204,10 +206,12 @@ def search(options: Options, part: str, task: str) -> dict[str, Any] | None:
 
 
 def doses(options: Options, task: str) -> pd.DataFrame:
-    """Responses to every dose at the lowest level, in both simulators and without events."""
+    """Responses to every dose at the lowest level, on SUMO with and without events, and on the replica if it can."""
     none = {"risk_rates": dict.fromkeys(("cut_in", "brake", "surge"), 0.0)}
     silent = replace(SUMO, name=WITHOUT_EVENTS, options=none)
-    engines = [replace(engine, egos=EGOS) for engine in (SUMO, silent, HIGHWAY_ENV)]
+    engines = [
+        replace(engine, egos=EGOS) for engine in (SUMO, silent, HIGHWAY_ENV) if has(engine.backend, task)
+    ]
     work = episodes.plan(engines, {task: (1,)}, DOSES, range(options.scenarios))
     return responses(episodes.run(work, options.out / "parts", options.workers))
 
@@ -215,6 +219,8 @@ def doses(options: Options, task: str) -> pd.DataFrame:
 def calibrate(options: Options) -> dict[str, Any]:
     """Do the parts for every task and write the results; returns the content of calibration.json."""
     tasks = choose_tasks(options.tasks or tuple(GRID))
+    for task in tasks if {*options.parts} != {"doses"} else ():
+        require(HIGHWAY_ENV.backend, task)
     check_dynamics((engine.backend, task) for engine in (SUMO, HIGHWAY_ENV) for task in tasks)
     result: dict[str, Any] = {"scenarios": options.scenarios}
     tables = []

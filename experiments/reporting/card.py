@@ -13,7 +13,9 @@ from experiments.reporting.tables import NONE, chosen, points, titled
 from experiments.study.compute.evaluate import limits
 
 SETTING = ["task", "level", "traffic"]
-SHOWN = {name: one for name, one in COLUMNS.items() if name != "score"}  # whose marks are of the study's scenarios
+SHOWN = {
+    name: one for name, one in COLUMNS.items() if name != "score"
+}  # whose marks are of the study's scenarios
 ALL = "all"  # levels of a task, each alike
 
 

@@ -14,6 +14,7 @@ from sumo_env.tasks import TASKS
 
 T = TypeVar("T")
 SWITCH = {"true": True, "yes": True, "false": False, "no": False}  # what a flag takes
+ALIKE = {"--task": "--tasks", "--tasks": "--task"}  # some commands drive one task, others several
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 
 
@@ -67,23 +68,29 @@ def parsed(
 def split_arguments(arguments: Iterable[str], options: type[Any]) -> list[str]:
     """`--tasks highway,u-turn`, `--policy A --policy B`, `--unseen=no` and `--no-unseen` as tyro takes them.
 
-    That is with spaces, each option once, and of flags those that are on. Raises as `parsed` does.
+    That is with spaces, each option once, of flags those that are on, and `--task` as the command calls it. Raises as
+    `parsed` does.
     """
     hints = {f"--{name.replace('_', '-')}": hint for name, hint in get_type_hints(options).items()}
     lists = {name for name, hint in hints.items() if get_origin(hint) is tuple}
     flags = {name for name, hint in hints.items() if hint is bool}
+
+    def parts(word: str) -> list[str]:
+        return [word] if name not in lists or set("/=") & set(word) else word.split(",")
+
     values: dict[str, list[str]] = {"": []}
     switched: dict[str, bool] = {}
     name = ""
     for word in arguments:
         if word.startswith("--"):
             name, *given = word.split("=", 1)
+            name = name if name in hints else ALIKE.get(name, name)
             flag = f"--{name.removeprefix('--').removeprefix('no-')}"
             if flag in flags:
                 switched[flag] = (flag == name) == _switch(name, *given)
                 name = flag
             else:
-                values.setdefault(name, []).extend(given)
+                values.setdefault(name, []).extend(one for word in given for one in parts(word))
             continue
         _check_word(word)
         if name in flags:  # its value, or an argument behind it
@@ -93,8 +100,7 @@ def split_arguments(arguments: Iterable[str], options: type[Any]) -> list[str]:
                 values[""].append(word)
             name = ""
             continue
-        given = [word] if name not in lists or set("/=") & set(word) else word.split(",")
-        values[name].extend(given)
+        values[name].extend(parts(word))
     found = [word for name, given in values.items() for word in ([name] if name else []) + given]
     return [*found, *(name for name, is_on in switched.items() if is_on)]
 

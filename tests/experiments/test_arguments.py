@@ -16,7 +16,7 @@ from tyro.conf import Fixed
 
 from agents.learners import LEARNERS
 from agents.rules import DRIVERS
-from experiments import rare, sweep, train
+from experiments import evaluate, rare, sweep, train
 from experiments.backends import BACKENDS
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.design.arms import EVERY_ARM
@@ -156,6 +156,11 @@ def test_a_repeated_option_adds_values_and_a_comma_separates_them():
     found = split_arguments([*words, "--tasks", "highway,u-turn", "--out", "a,b"], Options)
     expected = "--policy a:make b.zip c --seeds 2 --tasks highway u-turn --out a,b --placebo"
     assert found == expected.split()
+
+
+def test_one_task_or_several_are_named_alike():
+    assert parsed(rare.Options, ["idle", "--tasks", "u-turn"], "").task == "u-turn"
+    assert parsed(evaluate.Options, ["idle", "--task=u-turn,merge"], "").tasks == ("u-turn", "merge")
 
 
 def test_an_option_sets_a_preset_back(monkeypatch):

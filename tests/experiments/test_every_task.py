@@ -1,0 +1,130 @@
+"""Every command takes every task, one of a user's own as well: each at its smallest size, one after the other."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import pandas as pd
+import pytest
+
+import sumo_env
+from experiments import (
+    attainable,
+    calibrate,
+    evaluate,
+    rare,
+    replay,
+    report,
+    sweep,
+    takeover,
+    train,
+    validate,
+    watch,
+)
+from experiments.analysis.scores import TASK_ORDER
+from experiments.backends import has
+from experiments.study.design.presets import of_preset, tuned
+from experiments.study.design.sheet import SHEETS
+from experiments.support.errors import UserError
+from sumo_env.tasks import TASKS
+from sumo_env.tasks.highway import Highway
+
+OWN = "own-road"
+
+
+class OwnRoad(Highway):
+    """On SUMO alone."""
+
+    name = OWN
+    reference = None
+    versions: ClassVar[Any] = ()
+    levels: ClassVar[Any] = {
+        "5": {"vehicles_count": 5, "duration": 4},
+        "8": {"vehicles_count": 8, "duration": 4},
+    }
+
+
+@pytest.fixture
+def own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A task that a user has added, with its sheet and its id."""
+    monkeypatch.setitem(TASKS, OWN, OwnRoad())
+    monkeypatch.setitem(SHEETS, OWN, SHEETS["highway"])
+    monkeypatch.setitem(TASK_ORDER, OWN, len(TASK_ORDER))  # which is made of TASKS at the import
+    sumo_env.register(f"sumo/{OWN}-v0", OwnRoad())
+    yield
+    del gym.registry[f"sumo/{OWN}-v0"]
+
+
+@pytest.fixture
+def small(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process, and few episodes where no option says so."""
+    monkeypatch.setattr(
+        "experiments.study.compute.batches.open_executor", lambda *_: (ThreadPoolExecutor(1), 1)
+    )
+    monkeypatch.setattr("sumo_env.benchmark.QUICK", 2)
+    monkeypatch.setattr(evaluate, "POLICIES", ("slower", "careful"))
+    monkeypatch.setattr(rare, "BATCH", 4)
+    monkeypatch.setattr(rare, "PILOT", 4)
+    monkeypatch.setattr(calibrate, "DOSES", ("regular", "risky"))
+    for command in (attainable, calibrate, evaluate, rare, takeover, train, validate):
+        monkeypatch.setattr(command, "check_dynamics", lambda _: None)
+
+
+def every_command(task: str, home: Path) -> None:
+    trained = home / "trained"
+    learners = tuned({task: 20}, warm_up=20)
+    few: dict[str, Any] = {"tasks": (task,), "levels": (1,), "seeds": 1, "episodes": 1, "learners": learners}
+    options = of_preset(train.Options, "smoke", **few, arms=("treatment",), out=trained)
+    assert train.train(options, []) == 0
+    assert evaluate.evaluate(evaluate.Options(str(trained), quick=True, out=home / "card"), []) == 0
+    assert watch.watch(watch.Options(trained)) == 0
+    [cell] = (trained / "cells").glob("*-treatment-s0-*")
+    assert replay.replay(replay.Options(f"{cell.with_suffix('')}:risky:0", policy=True)) == 0
+    curve = rare.Options(
+        (str(trained),), task, rates="1", dose=1.0, episodes=4, plain=True, out=home / "curve"
+    )
+    assert rare.rare(curve, []) == 0
+    two = takeover.Options(
+        str(trained), "slower", task, traffics=("risky",), scenarios=1, others=(), out=home / "two"
+    )
+    assert takeover.takeover(two, []) == 0
+    doses = calibrate.Options(home / "doses", parts=("doses",), tasks=(task,), scenarios=1, workers=1)
+    calibrate.calibrate(doses)
+    assert "risky" in set(pd.read_csv(home / "doses" / "doses.csv")["traffic"])
+    assert sweep.sweep(of_preset(sweep.Options, "smoke", **few, out=home / "sweep")) == 0
+    assert report.write_report(home / "sweep").is_file()
+    validation = validate.Options(
+        home / "validation", tasks=(task,), levels=(1,), scenarios=1, quick=True, workers=1
+    )
+    with_search = attainable.Options(
+        tasks=(task,), levels=(1,), scenarios=2, width=2, out=home / "attainable"
+    )
+    second: list[Callable[[], Any]] = [
+        lambda: validate.validate(validation),
+        lambda: attainable.run(with_search, []),
+    ]
+    for command in second:
+        if has("replica", task):
+            command()
+        else:
+            with pytest.raises(UserError, match=f"the backend replica has no task {task}"):
+                command()
+
+
+def test_every_command_takes_a_task_of_one_s_own(
+    own: None, small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a report without figures, which are in the long lane."""
+    monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
+    every_command(OWN, tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("task", tuple(TASKS))
+def test_every_command_takes_the_task(task: str, small: None, tmp_path: Path) -> None:
+    every_command(task, tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -14,6 +15,13 @@ PAGE = "https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_
 TYPES = "data/xsd/types"  # of the package sumo-data, which libsumo installs
 _XSD = "{http://www.w3.org/2001/XMLSchema}"
 _MODEL = "carFollowing-"  # how elements with the parameters of a model begin
+# Types of numbers, with the least one; of "positive..." it is not among them.
+_NUMBERS = {
+    "floatType": -math.inf,
+    "xsd:float": -math.inf,
+    "nonNegativeFloatType": 0.0,
+    "positiveFloatType": 0.0,
+}
 
 
 @cache
@@ -30,12 +38,14 @@ def schema(name: str) -> dict[str, dict[str, str]]:
     }
 
 
-def _known() -> set[str]:
-    """Attributes of a vType, those of every car-following model included; empty without a schema."""
-    kinds = schema("route").items()
-    return {
-        name for kind, names in kinds if kind == "vTypeBaseType" or kind.startswith("cf") for name in names
-    }
+def _known() -> dict[str, set[str]]:
+    """Attributes of a vType, those of every car-following model included, with their types; empty without a schema."""
+    found: dict[str, set[str]] = {}
+    for kind, names in schema("route").items():
+        if kind == "vTypeBaseType" or kind.startswith("cf"):
+            for name, type in names.items():
+                found.setdefault(name, set()).add(type)
+    return found
 
 
 def _models() -> set[str]:
@@ -46,12 +56,12 @@ def _models() -> set[str]:
 
 
 def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
-    """That SUMO knows these attributes of the vehicle type `name`, which it would ignore, and its model.
+    """That SUMO knows these attributes of the vehicle type `name`, its model and its class, and that numbers are such.
 
     Other wrong values it refuses itself when an episode begins.
 
     Raises:
-        ValueError: it does not; the message names the nearest one.
+        ValueError: it does not; the message names the nearest one, or what a value may be.
     """
     known, models = _known(), _models()
     model = str(attributes.get("carFollowModel", "Krauss"))
@@ -61,3 +71,25 @@ def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
         if attribute not in known:
             instead = did_you_mean(attribute, known) or f"see {PAGE}"
             raise ValueError(f"SUMO's types have no attribute {attribute!r}, as {name!r} has: {instead}")
+        _check_number(attribute, attributes[attribute], known[attribute], name)
+    if "vClass" in attributes:
+        from sumolib.net.lane import SUMO_VEHICLE_CLASSES  # late: it takes a tenth of a second
+
+        if (given := str(attributes["vClass"])) not in SUMO_VEHICLE_CLASSES:
+            raise ValueError(
+                f"SUMO has no vClass {given!r}, as {name!r} has: {nearest(given, SUMO_VEHICLE_CLASSES)}"
+            )
+
+
+def _check_number(attribute: str, value: object, types: set[str], name: str) -> None:
+    """Raise ValueError unless a value of one of these types is a number that it may be."""
+    if not types <= _NUMBERS.keys():
+        return
+    least, above = min(_NUMBERS[type] for type in types), types == {"positiveFloatType"}
+    try:
+        number = float(str(value))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number) or number < least or (above and number == least):
+        said = "a number" if least < 0 else "above 0" if above else "0 or more"
+        raise ValueError(f"{attribute} of {name!r} has to be {said}, not {value!r}")

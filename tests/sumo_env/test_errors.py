@@ -331,6 +331,9 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (attributes(carFollowModel="W98"), ValueError, "'W99'"),
     (attributes(speedFactor=2.0), ValueError, "no effect"),
     (attributes(length=200.0), ValueError, "length"),
+    (attributes(accel=-1), ValueError, "accel of 'odd' has to be above 0"),
+    (attributes(accel="fast"), ValueError, "above 0, not 'fast'"),
+    (attributes(vClass="lorry"), ValueError, "no vClass"),
     # options of SUMO
     (of_sumo("--net-file", "x.net.xml"), ConfigError, "SumoDrivingEnv"),
     *((of_sumo(option), ConfigError, "the environment's own") for option in OWN),

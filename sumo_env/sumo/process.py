@@ -189,8 +189,10 @@ class SumoProcess:
 
     def _end(self, grace: float = GRACE) -> None:
         if self._host is not None:
-            self._forgotten.detach()
-            self._host.end(grace)
+            if (
+                self._forgotten.detach()
+            ):  # else the interpreter's exit has seen to it before a destructor comes
+                self._host.end(grace)
             self._host = None
 
     def _driven_again(self) -> _Worker:

@@ -98,6 +98,14 @@ def test_closing_ends_the_worker_and_may_be_repeated(begun: SumoProcess) -> None
     assert begun.reset(scenario()).time == 0.0  # as a simulator in this process could be
 
 
+def test_a_destructor_may_come_after_the_interpreter_s_exit() -> None:
+    """As those of gymnasium's vector environments do: what is forgotten then is not ended again."""
+    for simulator in (SumoProcess(FAKE), SumoProcess(FAKE)):  # in this process if it is free, and in a worker
+        simulator.reset(scenario())
+        simulator._forgotten()
+        simulator.close()
+
+
 def test_a_forgotten_simulator_ends_its_worker() -> None:
     simulator = SumoProcess(FAKE)
     with pytest.raises(RuntimeError, match=r"call reset\(\)"):

@@ -82,6 +82,10 @@ def parse_case(text: str, code: str | None = None) -> Case:
     path = Path(match["path"]).absolute()
     store = Store(path.parent.parent)
     names = store.finished() if path.parent.name == "cells" else []
+    if not names and (there := Store(path).finished()):
+        raise UserError(
+            f"{text} is a folder of results: name one of its cells, such as {path / 'cells' / there[0]}"
+        )
     if not names:
         raise UserError(f"there is no cell {path}")
     name = find_cell(path.name, names)
@@ -131,6 +135,12 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     if wrong := differences(case.row, row):
         changed = ", ".join(changed_versions(case.record)) or "no version"
         print(f"error: not reproduced: {'; '.join(wrong)}; since then changed: {changed}", file=sys.stderr)
+        if options.policy and case.record["key"]["kind"] == "agent" and case.store.weights(case.cell) is None:
+            print(
+                "the agent's weights are published ones, which are rounded: it may choose otherwise where two actions "
+                "are worth nearly the same (11 of 200 episodes); without --policy the stored actions are played",
+                file=sys.stderr,
+            )
         return 1
     if options.policy:
         print("reproduced: the agent chose the stored actions, and every stored number came out the same")

@@ -143,6 +143,7 @@ def test_the_beginning_of_a_name_is_enough():
         ("{cell}:regulr:0", {}, "did you mean 'regular'"),
         ("{cell}x", {}, "did you mean"),
         ("nowhere/cells/x", {}, "there is no cell"),
+        ("{folder}", {}, "name one of its cells"),
         ("{cell}:risky:99", {}, "no 99"),
         ("{safe}", {}, "has no crash that could be avoided"),
         ("{safe}", {"sumo": True}, "--avoid writes a film of its own"),
@@ -151,7 +152,7 @@ def test_the_beginning_of_a_name_is_enough():
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(cells, text, options, message, tmp_path):
-    case = text.format(cell=cells[0], safe=first(cells, False)[0])
+    case = text.format(cell=cells[0], safe=first(cells, False)[0], folder=Path(cells[0]).parents[1])
     with pytest.raises(UserError, match=message) as error:
         replay(Options(case, out=tmp_path / "x.gif", avoid=text == "{safe}", **options), make_env)
     assert "\n" not in str(error.value)

@@ -47,10 +47,10 @@ from experiments.study.compute.foresight import WIDTH
 from experiments.study.design import attainable
 from experiments.study.design.attainable import CONSTANT, MORE, POLICY, SEARCH, place
 from experiments.study.design.fingerprint import check_dynamics, dynamics
-from experiments.study.design.levels import choose_levels, choose_tasks, env_config, level_names
+from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks, env_config, level_names
 from experiments.study.design.sheet import GRID, VARIANTS, task_of
 from experiments.study.design.traffic import TRAFFICS
-from experiments.support.arguments import TaskNames, command
+from experiments.support.arguments import argument, command
 from experiments.support.errors import UserError, check_known, writing
 from experiments.support.files import plain_json, write_file, write_json
 from experiments.support.provenance import provenance
@@ -68,20 +68,19 @@ class Options:
 
     backend: Literal["replica", "sumo"] = "replica"
     """replica: the best sequences of actions, knowing the future. sumo: drivers without foresight."""
-    tasks: TaskNames = ()
-    """Some tasks, or variants of tasks (two-way-brakes); by default those of the study and all variants."""
-    levels: tuple[int, ...] = ()
-    """Traffic levels by number; 1 is the lightest, by default all."""
-    scenarios: int | None = None
-    """Scenarios in each of the two traffics; by default 48 on the replica and 200 on SUMO (of the planner 40)."""
+    tasks: StudyTasks = ()
+    levels: Annotated[tuple[int, ...], argument("LEVEL ...", "all")] = ()
+    """Traffic levels by number; 1 is the lightest."""
+    scenarios: Annotated[int | None, argument("N", "48; on SUMO 200, of the planner 40")] = None
+    """Scenarios in each of the two traffics."""
     width: int = WIDTH
     """States that the search keeps after each step."""
-    policies: tuple[str, ...] = ()
+    policies: Annotated[tuple[str, ...], argument("POLICY ...")] = ()
     """Agents that drive on SUMO as well, named as for evaluate.py."""
-    executor: str = "local"
+    executor: Annotated[str, argument("NAME")] = "local"
     """Where is computed: local (processes of this machine), ray or slurm (docs/clusters.md)."""
-    workers: int | None = None
-    """Batches at a time; by default one for each core."""
+    workers: Annotated[int | None, argument("N", "the number of cores")] = None
+    """Batches at a time."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/attainable")
     """Directory for the results, whose found.json is written anew."""
     update: bool = False

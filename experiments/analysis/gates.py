@@ -22,7 +22,7 @@ from experiments.analysis.estimate import DEGENERATE, OK, Estimate, combine, equ
 from experiments.analysis.plan import ALPHA, Learner, Plan
 from experiments.analysis.scores import in_order
 from experiments.study.design.arms import ARMS, gate_traffics
-from experiments.study.design.sheet import GRID, SHEETS
+from experiments.study.design.sheet import GRID, SHEETS, VARIANTS, sheet, task_of
 from experiments.study.results.loaded import AGENT, SETTING, table_of
 
 Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before an agent counts as diverged
@@ -35,7 +35,7 @@ TIED = 0.98  # share of the scenarios with the return of one constant policy fro
 ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does
 CONSTANT_POLICIES = ("idle", "random", "faster", "slower")  # what learning has to be worth more than
 # Way [m] from the start to just inside the crossing that a task is about.
-CROSSINGS = {task: own.crossing for task, own in SHEETS.items() if own.crossing is not None}
+CROSSINGS = {task: way for task in (*SHEETS, *VARIANTS) if (way := sheet(task).crossing) is not None}
 
 GATES: dict[str, str] = {
     "q_bounded": f"Q-values stay below {Q_SLACK} x max |r| / (1 - gamma) on the probe states",
@@ -230,7 +230,7 @@ def change(trained: Sequence[Mapping[str, Any]], rules: Learner) -> Estimate:
         tenth, quarter = len(curve) // 10, 3 * len(curve) // 4
         # a part in which no episode ended has no return
         difference = np.nanmean(curve[-tenth:]) - np.nanmean(curve[quarter - tenth : quarter])
-        rows.append([key["task"], key["level"], float(difference) / rules.ranges[key["task"]]])
+        rows.append([key["task"], key["level"], float(difference) / rules.ranges[task_of(key["task"])]])
     frame = pd.DataFrame(rows, columns=["task", "level", "change"])
     settings = mean_of_units(frame.groupby(["task", "level"], sort=False)["change"]).assign(arm="")
     [found] = combine(settings, ["arm"], equal_task_weights(settings, ["arm"])).itertuples()

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.study.design import attainable
 from experiments.study.design.cell import tested_on
-from experiments.study.design.levels import env_config
+from experiments.study.design.levels import env_config, tasks_known
+from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.loaded import AGENT, SETTING, Results
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
-TASK_ORDER = {task: number for number, task in enumerate(TASKS)}
+TASK_ORDER = {task: number for number, task in enumerate(tasks_known())}
 
 
 def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
@@ -42,7 +43,9 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
 
     lasted = episodes["length"] / of_cell(lambda key: key["env_config"].get("policy_frequency", 1))
     crashed = episodes["crashed"].astype(float)
-    seconds = of_cell(lambda key: key["env_config"].get("duration", TASKS[key["task"]].defaults["duration"]))
+    seconds = of_cell(
+        lambda key: key["env_config"].get("duration", TASKS[task_of(key["task"])].defaults["duration"])
+    )
     scores = attainable.scores(episodes).where(of_cell(_is_marked))
     own = {name: outcome.of for name, outcome in outcomes.items() if outcome.of is not None}
     return episodes.assign(
@@ -59,8 +62,8 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
 
 def _is_marked(key: Mapping[str, Any]) -> bool:
     """Whether a cell is tested as those who mark its returns were driven: on SUMO, and nothing else is configured."""
-    backend, task, config = tested_on(key)
-    return backend == "sumo" and config == env_config(backend, task, key["level"])
+    backend, _, config = tested_on(key)
+    return backend == "sumo" and config == env_config(backend, key["task"], key["level"])
 
 
 def crashes_per_100_km(episodes: pd.DataFrame, by: Sequence[str]) -> pd.Series:

@@ -42,11 +42,12 @@ TASKS = {
     "roundabout": "#228833",
     "intersection": "#8a3a8f",
     "u-turn": "#a87400",
+    "two-way-brakes": "#00808c",
 }
 VARIABLES |= {colour: task for task, colour in TASKS.items()}
 # The variables of a figure that stands alone, in a dark scheme.
 DARK = {"ink": "#e6e9ed", "muted": "#98a2b0", "grid": "#343b45", "paper": "#14171b"}
-DARK |= dict(zip(TASKS, ("#7fb0f0", "#ff8095", "#5fcf7a", "#d58ae0", "#e8b440"), strict=True))
+DARK |= dict(zip(TASKS, ("#7fb0f0", "#ff8095", "#5fcf7a", "#d58ae0", "#e8b440", "#4fc6d2"), strict=True))
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,
     "axes.titlesize": 9, "axes.titleweight": "bold", "axes.labelsize": 8.5,

@@ -78,8 +78,8 @@ class Batch(batches.Batch):
 
     def drive(self, heartbeat: Heartbeat) -> pd.DataFrame:
         """Drive or search them."""
-        task, rows = task_of(self.task), list[dict[str, Any]]()
-        drives = [Drive(task, self.level, self.traffic, k, PURPOSE) for k in self.episodes["scenario"]]
+        rows = list[dict[str, Any]]()
+        drives = [Drive(self.task, self.level, self.traffic, k, PURPOSE) for k in self.episodes["scenario"]]
         for row in self._driven(drives) if self.driver else self._searched(drives):
             rows.append(row)
             heartbeat(len(rows) / self.count)

@@ -19,6 +19,7 @@ from experiments.study.compute.policies import check
 from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
 from experiments.study.design.cell import Cell, learner_of
+from experiments.study.design.sheet import task_of
 from experiments.support.errors import in_words
 from experiments.support.files import plain_json
 
@@ -63,7 +64,7 @@ def environments(
     """
 
     def one(first: int = 0, count: int = 1) -> gym.Env[Any, Any]:
-        env = make_env(cell.backend, cell.task, cell.training_config)
+        env = make_env(cell.backend, task_of(cell.task), cell.training_config)
         opened.enter_context(closing(env))
         traffic = EVERY_ARM[str(cell.arm)].traffic
         return TrainingEnv(observed(env, cell.rules), cell.rules, traffic, seed, first, count)

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import ALL, BETWEEN, TRAFFICS, WITHOUT, Traffic
 
 TEST = 2**32  # where the seeds of the test scenarios begin
@@ -60,8 +61,11 @@ def gate_traffics(arm: str | None) -> tuple[str, ...]:
 
 
 def scenario_seed(task: str, level: int, scenario: int, purpose: str = "test") -> int:
-    """Seed of a scenario of a task and level, in [2**32, 2**33); the gates ("gate") have others than the test."""
-    return TEST + stream_seed(f"{purpose} scenario", task, level, scenario)
+    """Seed of a scenario of a task and level, in [2**32, 2**33); the gates ("gate") have others than the test.
+
+    A variant of a task has the task's.
+    """
+    return TEST + stream_seed(f"{purpose} scenario", task_of(task), level, scenario)
 
 
 def training_seed(task: str, level: int, seed: int) -> int:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from experiments.backends import SIMULATORS
 from experiments.study.design.arms import ARMS, gate_traffics
+from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import BETWEEN, TRAFFICS
 from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
@@ -33,9 +34,9 @@ class Cell:
     """One unit of the experiment: a trained agent with its test, the test of a policy that does not learn, or a further
     test of an agent that another cell has trained.
 
-    kind: "agent", "baseline" or "test". level: 1 is the lightest traffic. arm, seed: None for baselines.
-    policy: name of the learner or of the policy. profile: every setting of the learner and the rules of its training
-        (`training_rules.TrainingRules`); for baselines only the preset's name.
+    kind: "agent", "baseline" or "test". task: may be a variant (`sheet.VARIANTS`). level: 1 is the lightest traffic.
+    arm, seed: None for baselines. policy: name of the learner or of the policy. profile: every setting of the learner
+        and the rules of its training (`training_rules.TrainingRules`); for baselines only the preset's name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     test_on: of a further test its backend, env_config, traffics and episodes.
@@ -92,7 +93,7 @@ class Cell:
     @property
     def simulated(self) -> tuple[tuple[str, str], ...]:
         """What is simulated for it, as (backend, task): in training, and in the test."""
-        return (self.backend, self.task), (self.runs_on, self.task)
+        return (self.backend, task_of(self.task)), (self.runs_on, task_of(self.task))
 
     @property
     def parent(self) -> Cell:
@@ -181,7 +182,7 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any
 def tested_on(key: Mapping[str, Any]) -> tuple[str, str, dict[str, Any]]:
     """Backend, task and configuration of the environment that a cell is tested in, as `make_env` takes them."""
     where = {**key, **(key.get("test_on") or {})}
-    return where["backend"], key["task"], dict(where["env_config"])
+    return where["backend"], task_of(key["task"]), dict(where["env_config"])
 
 
 def setting(key: Mapping[str, Any]) -> str:

@@ -15,12 +15,13 @@ from agents.policies import foreign_policy
 from agents.rules import CAUTIONS, DRIVERS, POLICIES
 from experiments.backends import BACKENDS, MakeEnv, make_env
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED
-from experiments.study.design.cell import LEARNER, Cell
+from experiments.study.design.cell import LEARNER, Cell, tested_on
 from experiments.study.design.fingerprint import dynamics, learner_name
-from experiments.study.design.levels import choose_levels, choose_tasks, env_config, level_names
+from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks, env_config, level_names
+from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.study.design.training_rules import RULES, TrainingRules
-from experiments.support.arguments import TASK, Flag, argument
+from experiments.support.arguments import Flag, argument
 from experiments.support.errors import UserError, check_known, in_words
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
@@ -53,7 +54,7 @@ class Experiment:
     learners: Hidden[Mapping[str, Mapping[str, Any]]]
     backend: Annotated[str, argument("NAME")] = "sumo"
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
-    tasks: Annotated[Names, TASK] = ()
+    tasks: StudyTasks = ()
     levels: Annotated[tuple[int, ...], argument("LEVEL ...", "all")] = ()
     """Traffic levels by number; 1 is the lightest."""
     seeds: Annotated[int, argument("N")]
@@ -113,7 +114,7 @@ class Experiment:
             UserError: something does not exist or makes no sense.
         """
         check_known("backend", (self.backend, *self.test_on), BACKENDS)
-        tasks = choose_tasks(self.tasks)
+        tasks = choose_tasks(self.tasks, variants=True)
         levels = choose_levels(tasks, self.levels)
         policies = self._policies()
         check_known("driver", self.drivers, DRIVERS)
@@ -162,7 +163,7 @@ class Experiment:
                 "gate_episodes": self.gate_episodes,
                 "first_scenario": self.first_scenario,
             },
-            dynamics=dynamics(self.backend, task),
+            dynamics=dynamics(self.backend, task_of(task)),
         )
 
     def _policies(self) -> dict[str, str]:
@@ -227,7 +228,11 @@ class Experiment:
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
                 config = env_config(other, agent.task, agent.level, self._changes)
-                where = {"backend": other, "env_config": config, "dynamics": dynamics(other, agent.task)}
+                where = {
+                    "backend": other,
+                    "env_config": config,
+                    "dynamics": dynamics(other, task_of(agent.task)),
+                }
                 yield _tested(agent, TRAFFICS, TRANSFER_EPISODES.get(other, most), **where)
 
     def profile(self, task: str) -> dict[str, Any]:
@@ -240,7 +245,7 @@ class Experiment:
         from agents.learners import learner
         from agents.models import network_class
 
-        said = {**self.learners[task]}
+        said = {**self.learners[task_of(task)]}
         ruled = {name: said.pop(name) for name in RULES if name in said}
         asked = {"updates": self.updates, "network": self.network}
         files = {}
@@ -287,7 +292,7 @@ def _digest_of_policy(source: str, cell: Cell, make_env: MakeEnv) -> str:
     Raises:
         ValueError: it does not fit.
     """
-    with closing(make_env(cell.backend, cell.task, dict(cell.env_config))) as env:
+    with closing(make_env(*tested_on(cell.key()))) as env:
         return foreign_policy(source, env)[1]
 
 

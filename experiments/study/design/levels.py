@@ -6,9 +6,10 @@ A task here may be a variant of one (`sheet.VARIANTS`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 from experiments.study.design.sheet import GRID, VARIANTS, sheet, task_of
+from experiments.support.arguments import argument
 from experiments.support.errors import UserError, check_known, unknown
 from sumo_env.config import TYPES, resolve
 from sumo_env.tasks import TASKS
@@ -21,14 +22,25 @@ PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
 FREE = {"risk", "drivers", *PICTURES}
 
 
+def tasks_known() -> tuple[str, ...]:
+    """All tasks in the order of TASKS, each before its variants."""
+    return tuple(sorted((*TASKS, *VARIANTS), key=lambda name: [*TASKS].index(task_of(name))))
+
+
+StudyTasks = Annotated[
+    tuple[str, ...], argument("TASK ...", "those of the study", f"Some of {', '.join(tasks_known())}.")
+]
+
+
 def level_names(task: str) -> tuple[str, ...]:
     """Names of a task's traffic levels, lightest first ("50", "100", "150"); levels are numbered from 1."""
     return tuple(TASKS[task_of(task)].levels)
 
 
-def tasks_known() -> tuple[str, ...]:
-    """All tasks in the order of TASKS, each before its variants."""
-    return tuple(sorted((*TASKS, *VARIANTS), key=lambda name: [*TASKS].index(task_of(name))))
+def level_config(task: str, name: str) -> dict[str, Any]:
+    """What a task, or a variant of one, has configured at a level."""
+    changes = VARIANTS[task].changes if task in VARIANTS else {}
+    return {**TASKS[task_of(task)].levels[name], **changes}
 
 
 def env_config(
@@ -51,14 +63,12 @@ def env_config(
         raise UserError(
             f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
         )
-    if task in VARIANTS:
-        common = {**VARIANTS[task].changes, **common}
-    task = task_of(task)
+    of_level, defaults = level_config(task, names[level - 1]), TASKS[task_of(task)].defaults
     for name in [name for name in common if name.partition(".")[0] in TYPES and "." in name]:
         entry, _, key = name.partition(".")
-        whole = {**TASKS[task].defaults, **common}[entry]
+        whole = {**defaults, **of_level, **common}[entry]
         common[entry] = {**whole, key: common.pop(name)}
-    config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
+    config = resolve(task_of(task), defaults, of_level, common)
     action = config["action"]
     if action["type"] != "DiscreteMetaAction" or action.get("longitudinal", True) is not True:
         raise UserError(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from agents.streams import stream
+from experiments.study.design.sheet import task_of
 from experiments.support.errors import check_known
 from sumo_env.config import MEASURED
 from sumo_env.tasks import TASKS
@@ -115,7 +116,7 @@ def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
     Kinds of events that the task does not have are skipped, and SUMO's models on other simulators. Measured drivers are
     no part of the risk, and younger than the published tests: they are asked for by name.
     """
-    rates = TASKS[task].risk_rates
+    rates = TASKS[task_of(task)].risk_rates
 
     def differs(one: Traffic) -> bool:
         if one.drivers == MEASURED:

@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from experiments.study.design.sheet import task_of
 from experiments.support.files import read_json
 
 STORED = Path(__file__).resolve().parents[2] / "validation" / "verdict.json"
@@ -24,7 +25,7 @@ def verdicts(cells: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     """
     stored, found = read_json(STORED), {}
     for cell in cells:
-        task = cell["key"]["task"]
+        task = task_of(cell["key"]["task"])
         own = stored.get(task, {"fingerprint": None})
         if (
             cell["key"]["dynamics"] != own["fingerprint"]

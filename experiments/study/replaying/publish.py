@@ -21,10 +21,10 @@ from experiments.study.compute.evaluate import driving
 from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.cell import LEARNER, tested_on
+from experiments.study.design.levels import level_config
 from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import Store
 from experiments.support.errors import run_command
-from sumo_env.tasks import TASKS
 
 
 def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
@@ -53,7 +53,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         "command": f"{command} --cell {name}",
         "commit": record["provenance"]["git"],
         "task": key["task"],
-        "config": TASKS[key["task"]].levels[key["level_name"]],
+        "config": level_config(key["task"], key["level_name"]),
         "network": key["profile"]["network"],
         "observations": list(space.shape),
         "actions": int(actions.n),
@@ -85,7 +85,7 @@ def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretraine
         if key["backend"] != "sumo" or not store.weights(name):
             continue
         label = f"{key['task']}-{key['level_name']}/{key['arm']}"
-        is_lightest = key["level_name"] == next(iter(TASKS[key["task"]].levels))
+        is_lightest = key["level"] == 1
         if label not in chosen:
             chosen[label] = name
         elif is_lightest:

@@ -17,8 +17,8 @@ import pyarrow as pa
 
 from experiments.study.design.arms import gate_traffics
 from experiments.study.design.cell import RESULT_SCHEMA, cell_name
+from experiments.study.design.levels import tasks_known
 from experiments.study.design.traffic import TRAFFICS
-from sumo_env.tasks import TASKS
 
 # What a cell leaves behind, as its record calls it under "files".
 EPISODES, GATES, TRAINING, WEIGHTS = "episodes.parquet", "gates.parquet", "training.parquet", "weights.npz"
@@ -77,7 +77,7 @@ def check_record(name: str, record: Any) -> None:
             f"version {schema} of such files has written it, and this is {RESULT_SCHEMA}; results/FROZEN.md names the "
             "commits that read published ones"
         )
-    if (task := record["key"]["task"]) not in TASKS:
+    if (task := record["key"]["task"]) not in tasks_known():
         raise ValueError(f"its task {task!r} is not here: import what adds it to TASKS")
     if (own := cell_name(record["key"], record["versions"])) != name:
         raise ValueError(f"its content is that of {own}")

@@ -19,9 +19,9 @@ import gymnasium as gym
 import numpy as np
 
 import sumo_env
+from sumo_env.sumo.process import SUMO_VERSION
 
 GYMNASIUM = (1, 1)  # the oldest version
-SUMO_VERSION = "1.28.0"  # that the drivers were calibrated on
 
 
 def gymnasium() -> str:

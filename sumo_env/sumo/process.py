@@ -22,6 +22,8 @@ import threading
 import weakref
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, ClassVar, NoReturn, TypeVar
 
 import cloudpickle
@@ -43,6 +45,7 @@ SEVERAL = (
     "this process has several environments on SUMO: calls such as libsumo.vehicle.getSpeed(...) read the first one; "
     "env.unwrapped.sumo.vehicle.getSpeed(...) asks an environment's own SUMO"
 )
+SUMO_VERSION = "1.28.0"  # that the drivers were calibrated on
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 T = TypeVar("T")
 
@@ -70,6 +73,7 @@ class SumoProcess:
     def __init__(
         self, simulator: str = "", options: Mapping[str, str] = {}, here: bool = False, live: bool = False
     ) -> None:
+        _check_version()
         self._name, self._options, self._may_be_here = simulator, options, here
         self._live = live
         if live:
@@ -242,6 +246,17 @@ class SumoProcess:
             # Ctrl-C: the answer is still to come, and would be taken for that to the next request
             self._end(grace=0.0)
             raise
+
+
+@cache
+def _check_version() -> None:
+    """Warn, once in a process, of another SUMO than that of the drivers, which pip would not install."""
+    with suppress(PackageNotFoundError):
+        if (found := version("libsumo")) != SUMO_VERSION:
+            warn_once(
+                f"libsumo {found} is not that of the drivers, which may drive otherwise: pip install "
+                f"libsumo=={SUMO_VERSION}"
+            )
 
 
 class _Here:

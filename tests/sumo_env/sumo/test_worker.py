@@ -20,6 +20,7 @@ import pytest
 
 from sumo_env.config import ConfigError
 from sumo_env.simulator import SimulatorError
+from sumo_env.sumo import process
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from tests.processes import descriptors, ends, is_alive, started
 from tests.sumo_env.sumo.fake import (
@@ -96,6 +97,14 @@ def test_closing_ends_the_worker_and_may_be_repeated(begun: SumoProcess) -> None
     begun.close()
     assert ends(pid)
     assert begun.reset(scenario()).time == 0.0  # as a simulator in this process could be
+
+
+def test_another_sumo_is_warned_about(monkeypatch: pytest.MonkeyPatch) -> None:
+    process._check_version.cache_clear()
+    monkeypatch.setattr(process, "version", lambda _: "1.27.1")
+    with pytest.warns(UserWarning, match=r"libsumo 1.27.1 is not that of the drivers"):
+        SumoProcess(FAKE)
+    SumoProcess(FAKE)  # once
 
 
 def test_a_destructor_may_come_after_the_interpreter_s_exit() -> None:

@@ -39,14 +39,15 @@ from agents.rules import POLICIES
 from experiments.reporting.card import ALL, part, rows, texts
 from experiments.reporting.page import render
 from experiments.study.compute.entrants import Entrant, Place, entrants
-from experiments.study.compute.frozen_test import resolved, take
+from experiments.study.compute.frozen_test import levels_of, resolved, scenarios_of, take
 from experiments.study.design.fingerprint import check_dynamics, dynamics
-from experiments.support.arguments import TaskNames, command
+from experiments.study.design.levels import StudyTasks, tasks_known
+from experiments.study.design.sheet import task_of
+from experiments.support.arguments import command
 from experiments.support.errors import UserError, check_known, writing
 from experiments.support.files import read_json, sha256_bytes, write_file, write_json
 from experiments.support.provenance import provenance
-from sumo_env.benchmark import SETTINGS, SIZE, BenchmarkScenario, benchmark_scenarios, levels_of, stored
-from sumo_env.tasks import TASKS
+from sumo_env.benchmark import SETTINGS, SIZE, BenchmarkScenario, stored
 
 ENTRIES = Path(__file__).resolve().parents[1] / "results" / "entries.json"
 CARD, PAGE = "card.json", "card.html"
@@ -59,7 +60,7 @@ class Options:
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """A directory of train.py or sweep.py, a zip file of Stable-Baselines3, FILE:MAKE, a published agent or a rule."""
-    tasks: TaskNames = ()
+    tasks: StudyTasks = ()
     """Some tasks; by default those that the policy was trained for, or the five of the frozen test."""
     agent: str = ""
     """A part of the agent's name in the directory; by default the agent that was trained last."""
@@ -77,15 +78,15 @@ def drivers(options: Options) -> dict[Place, Entrant]:
     Raises:
         UserError: there is no such policy or task, or it was not trained for one.
     """
-    check_known("task", options.tasks, TASKS)
-    places = [(task, level) for task in options.tasks or TASKS for level in levels_of(task)]
+    check_known("task", options.tasks, tasks_known())
+    places = [(task, level) for task in options.tasks or tasks_known() for level in levels_of(task)]
     who = entrants(options.policy, places, options.agent)
     if not options.tasks:
         who = {at: one for at, one in who.items() if one.place or at[0] in SETTINGS}
     if strange := [task for task in options.tasks if task not in {name for name, _ in who}]:
         raise UserError(f"{options.policy} cannot drive {', '.join(strange)}: leave it out of --tasks")
     if not who:
-        raise UserError(f"no agent of {options.policy} was trained for {', '.join(TASKS)}")
+        raise UserError(f"no agent of {options.policy} was trained for {', '.join(tasks_known())}")
     return who
 
 
@@ -97,10 +98,10 @@ def evaluated(options: Options, arguments: Sequence[str]) -> tuple[dict[str, Any
     """
     who = drivers(options)
     tasks = tuple(dict.fromkeys(task for task, _ in who))
-    scenarios = benchmark_scenarios(tasks, options.quick)
+    scenarios = [one for task in tasks for one in scenarios_of(task, options.quick)]
     with writing(options.out):  # before minutes of driving
         pass
-    check_dynamics(("sumo", task) for task in tasks)
+    check_dynamics(("sumo", task_of(task)) for task in tasks)
     groups = {group: list(own) for group, own in groupby(scenarios, lambda one: one.group)}
     who = resolved(who, groups)
     driven, failed = take(who, groups)
@@ -149,8 +150,8 @@ def whole(driven: Mapping[str, tuple[pd.DataFrame, str]]) -> pd.DataFrame:
 
 def identity(task: str) -> str:
     """What two cards have to have in common to be compared in a task: the frozen scenarios, and what SUMO does."""
-    groups = dict.fromkeys(one.group for one in benchmark_scenarios([task], quick=True))
-    return sha256_bytes(" ".join([*map(stored, groups), dynamics("sumo", task)]).encode())[:8]
+    groups = dict.fromkeys(one.group for one in scenarios_of(task, quick=True))
+    return sha256_bytes(" ".join([*map(stored, groups), dynamics("sumo", task_of(task))]).encode())[:8]
 
 
 def entries() -> dict[str, Card]:

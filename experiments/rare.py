@@ -41,11 +41,12 @@ from experiments.study.compute.entrants import entrant_of
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.rare import Batch, Question
 from experiments.study.design.fingerprint import check_dynamics, dynamics
+from experiments.study.design.levels import level_names, tasks_known
+from experiments.study.design.sheet import task_of
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, check_known, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
-from sumo_env.tasks import TASKS
 
 BATCH = 100  # episodes, about
 PILOT = 100  # episodes, which do not count for the curve
@@ -108,9 +109,9 @@ def question(options: Options, policy: str) -> Question:
     """What the options ask of a policy. Raises UserError for what does not exist or makes no sense, before anything is
     driven.
     """
-    check_known("task", [options.task], TASKS)
-    levels = TASKS[options.task].levels
-    level = options.level or next(iter(levels))
+    check_known("task", [options.task], tasks_known())
+    levels = level_names(options.task)
+    level = options.level or levels[0]
     check_known("level", [level], levels)
     check_known("executor", [options.executor], EXECUTORS)
     for name, is_right, least in (
@@ -123,9 +124,9 @@ def question(options: Options, policy: str) -> Question:
         if not is_right:
             raise UserError(f"--{name} is {least}, not {getattr(options, name)}")
     entrant = entrant_of(policy, options.task, level)
-    own = options.dose, options.reach, options.seed, dynamics("sumo", options.task)
+    own = options.dose, options.reach, options.seed, dynamics("sumo", task_of(options.task))
     found = Question(entrant, options.task, level, *own)
-    with closing(make_env("sumo", found.task, found.config)) as env:
+    with closing(make_env("sumo", task_of(found.task), found.config)) as env:
         return replace(found, driver=entrant.resolved(env))
 
 
@@ -166,7 +167,7 @@ def rare(options: Options, arguments: Sequence[str]) -> int:
     """Do what the options ask for; returns the exit status."""
     rates, curves, stored = rates_of(options.rates), dict[str, pd.DataFrame](), dict[str, dict[str, Any]]()
     questions = {policy: question(options, policy) for policy in options.policies}
-    check_dynamics([("sumo", options.task)])
+    check_dynamics([("sumo", task_of(options.task))])
     with writing(options.out):
         for policy, asked in questions.items():
             curves[policy], stored[policy] = curve_of(options, asked, rates)

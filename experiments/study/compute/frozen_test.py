@@ -14,9 +14,23 @@ from experiments.study.compute.evaluate import play_from
 from experiments.study.compute.executors import cores
 from experiments.study.compute.executors.local import LocalExecutor
 from experiments.study.design.arms import stream_seed
+from experiments.study.design.levels import level_config
+from experiments.study.design.sheet import task_of
 from experiments.study.results.schema import COLUMNS
 from experiments.support.errors import UserError, in_a_line
-from sumo_env.benchmark import BenchmarkScenario, digest
+from sumo_env import benchmark
+from sumo_env.benchmark import BenchmarkScenario, benchmark_scenarios, digest
+
+
+def scenarios_of(task: str, quick: bool) -> list[BenchmarkScenario]:
+    """The scenarios of a task, or of a variant: those of its task, under its configuration."""
+    found = benchmark_scenarios([task_of(task)], quick)
+    return [one._replace(task=task, config=level_config(task, one.level)) for one in found]
+
+
+def levels_of(task: str) -> tuple[str, ...]:
+    """Levels of a task, or of a variant, in the test."""
+    return benchmark.levels_of(task_of(task))
 
 
 def drive(entrant: Entrant, scenarios: Sequence[BenchmarkScenario]) -> tuple[pd.DataFrame, str]:

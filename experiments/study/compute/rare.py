@@ -15,6 +15,8 @@ from experiments.study.compute import batches
 from experiments.study.compute.entrants import Entrant
 from experiments.study.compute.run import Heartbeat
 from experiments.study.design.arms import stream_seed
+from experiments.study.design.levels import level_config
+from experiments.study.design.sheet import task_of
 from sumo_env.tasks import TASKS
 
 KINDS = ("cut_in", "brake", "surge")
@@ -37,8 +39,8 @@ COLUMNS: dict[str, str] = {
 class Question:
     """Who drives, in what.
 
-    driver: is resolved. dose: of the other drivers' parameters. reach: within which events are near [m]. dynamics: what
-    the simulator does, see `fingerprint.dynamics`.
+    driver: is resolved. task: may be a variant. dose: of the other drivers' parameters. reach: within which events are
+    near [m]. dynamics: what the simulator does, see `fingerprint.dynamics`.
     """
 
     driver: Entrant
@@ -58,16 +60,18 @@ class Question:
     @property
     def config(self) -> dict[str, Any]:
         """Of the environment."""
-        return {**TASKS[self.task].levels[self.level], "risk": self.dose}
+        return {**level_config(self.task, self.level), "risk": self.dose}
 
     @property
     def events(self) -> float:
         """Events of a vehicle at the rate 1 [1/s]."""
-        return float(sum(getattr(TASKS[self.task].risk_rates, kind) for kind in KINDS))
+        return float(sum(getattr(TASKS[task_of(self.task)].risk_rates, kind) for kind in KINDS))
 
     def play(self, env: Any, policy: Policy, base: float, level: float, seed: int) -> dict[str, Any]:
         """One episode with events at the rate `base`, and at the rate `level` near the ego."""
-        rates = {kind: getattr(TASKS[self.task].risk_rates, kind) * base / self.dose for kind in KINDS}
+        rates = {
+            kind: getattr(TASKS[task_of(self.task)].risk_rates, kind) * base / self.dose for kind in KINDS
+        }
         options = {"risk_rates": rates, "event_factor": max(level / base, 1.0), "event_reach": self.reach}
         policy.reset(seed)
         seen, info = env.reset(seed=seed, options=options)
@@ -135,7 +139,7 @@ class Batch(batches.Batch):
     def drive(self, heartbeat: Heartbeat) -> pd.DataFrame:
         """Drive them."""
         asked, rows = self.question, []
-        with closing(make_env("sumo", asked.task, asked.config)) as env:
+        with closing(make_env("sumo", task_of(asked.task), asked.config)) as env:
             seen, policy = asked.driver.make(env)
             for done, episode in enumerate(self.each):
                 rows.append(asked.play(seen, policy, *episode))

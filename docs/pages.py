@@ -26,6 +26,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from docs.settings import readme_agents, trainings
 from experiments import evaluate
+from experiments.analysis import takeover
 from experiments.analysis.by_task import SURROGATES
 from experiments.analysis.by_task import by_task as effects_by_task
 from experiments.analysis.drivers import drivers
@@ -33,8 +34,9 @@ from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import STUDY
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL
-from experiments.reporting.figures import BESIDE, alone, crashes_against_speed
+from experiments.reporting.figures import BESIDE, alone, crashes_against_danger, crashes_against_speed
 from experiments.reporting.tables import chosen, effect, interval, plain, points
+from experiments.study.compute.takeover import PAIR
 from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID
 from sumo_env.tasks import TASKS
@@ -120,6 +122,34 @@ def speed_figure() -> str:
     return alone(crashes_against_speed(drivers(shown), "study"))
 
 
+@functools.cache
+def moments() -> pd.DataFrame:
+    """The record of `experiments/takeover.py` in which two pairs of published agents were driven."""
+    return pd.read_parquet(ROOT / "results" / "takeover.parquet")
+
+
+def danger_figure() -> str:
+    """Who gets into danger, and who gets out of it, in each task's lightest traffic."""
+    own = moments().groupby(["task", "traffic"], sort=False)
+    frames = {at: takeover.overall(part) for at, part in own}
+    rows = pd.concat(frames, names=["task", "traffic"]).reset_index(level=[0, 1])
+    return alone(crashes_against_danger(rows.replace({"driver": dict(zip(PAIR, ARMS, strict=True))})))
+
+
+def taken_over(traffic: str) -> list[dict[str, Any]]:
+    """A row a task and leader of that record in one traffic: danger and, by driver, crashes from the moments [%]."""
+    found = []
+    for task in GRID:
+        rows = chosen(moments(), task=task, traffic=traffic)
+        rates = takeover.rates(rows)
+        for leader, danger in zip(PAIR, takeover.overall(rows)["danger"], strict=True):
+            own = chosen(rates, leader=leader).set_index("driver")
+            moments_of = int(own["moments"].max()) if len(own) else 0
+            crashed = (100 * own["crashed"]).to_dict()
+            found.append({"task": task, "danger": 100 * danger, "moments": moments_of, "crashed": crashed})
+    return found
+
+
 def row(frame: str, **wanted: Any) -> dict[str, Any]:
     """The row of a frame of that analysis that has these values."""
     (found,) = chosen(getattr(study(), frame), backend="sumo", **wanted).to_dict("records")
@@ -174,10 +204,11 @@ def arrow(row: dict[str, Any], bold: bool = False) -> str:
 
 FUNCTIONS: list[Callable[..., Any]] = [
     *(by_task.difference, entries, events_per_hour, failing, other_learners, readme_agents, road_units, row),
-    *(share, study, survivors, trainings, validation, verdict),
+    *(share, study, survivors, taken_over, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
-FIGURES = {ROOT / "docs" / "img" / "study.svg": speed_figure}
+IMAGES = ROOT / "docs" / "img"
+FIGURES = {IMAGES / "study.svg": speed_figure, IMAGES / "takeover.svg": danger_figure}
 
 
 def page_of(template: Path) -> Path:

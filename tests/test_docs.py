@@ -283,9 +283,22 @@ def test_numbers_of_the_study_are_those_of_its_stored_episodes() -> None:
     assert pages.other_learners("treatment") == pytest.approx((8.25, 17.0))
 
 
-def test_the_figure_of_the_study_is_what_its_episodes_make() -> None:
+def test_who_gets_out_of_whose_moments_is_counted_from_the_stored_record() -> None:
+    stored = pq.read_table(ROOT / "results" / "takeover.parquet").to_pylist()
+    led = [row for row in stored if (row["task"], row["traffic"], row["leader"]) == ("u-turn", "risky", "b")]
+    moments = [row for row in led if row["moment"] is not None]
+    danger = len(moments) + sum(row["sudden"] for row in led)
+    [found] = [row for row in pages.taken_over("risky")[1::2] if row["task"] == "u-turn"]
+    assert (found["danger"], found["moments"]) == (100 * danger / len(led), len(moments))
+    for name in ("a", "b", "sumo"):
+        crashed = sum(row[f"crash_{name}"] <= 5 for row in moments)
+        assert found["crashed"][name] == pytest.approx(100 * crashed / len(moments))
+
+
+@pytest.mark.parametrize("file", pages.FIGURES, ids=lambda file: file.name)
+def test_a_figure_is_what_the_stored_episodes_make(file: Path) -> None:
     """Up to the last digits, which hang on the processor."""
-    [(file, draw)] = pages.FIGURES.items()
+    draw = pages.FIGURES[file]
     number = re.compile(r"-?\d+\.\d+")
     then, now = file.read_text(encoding="utf-8"), draw()
     assert number.sub("#", then) == number.sub("#", now)

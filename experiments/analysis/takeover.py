@@ -59,8 +59,9 @@ def answers(rows: pd.DataFrame) -> pd.DataFrame:
         for leader in part["leader"].unique():
             found[f"{SKILL}, {leader} leads"] = _from_moments([part], places)
     if len(whole := pd.concat(moments)):
-        for third, part in whole.groupby(pd.qcut(whole["speed"], 3, duplicates="drop"), observed=True):
-            found[f"{SKILL}, {third.left:.1f} to {third.right:.1f} m/s"] = _from_moments([part], places)
+        for third, part in whole.groupby(pd.qcut(whole["speed"], 3, labels=False, duplicates="drop")):
+            speeds = f"{part['speed'].min():.1f} to {part['speed'].max():.1f} m/s"
+            found[f"{SKILL}, speed {third + 1}: {speeds}"] = _from_moments([part], places)
     frame = pd.DataFrame.from_dict(found, orient="index").rename_axis("question").reset_index()
     return frame.astype({**dict.fromkeys(Estimate._fields, "float64"), "status": "str"})
 
@@ -159,6 +160,28 @@ def rates(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         found, columns=["leader", "driver", "moments", "crashed", "low", "high", "to_the_end"]
     )
+
+
+def overall(rows: pd.DataFrame) -> pd.DataFrame:
+    """What each of the two meets as the leader, and what becomes of it in the moments of both.
+
+    Returns:
+        A row a driver: danger (share of episodes) and crashed (share of moments), with the ends of their 95 % intervals
+        over episodes and over moments (_low, _high).
+    """
+    found = []
+    for name in PAIR:
+        own = rows[rows["leader"] == name]
+        times = rows[f"crash_{name}"].dropna()
+        row: dict[str, Any] = {"driver": name}
+        for outcome, values in (
+            ("danger", own["moment"].notna() | own["sudden"]),
+            ("crashed", times <= WINDOW),
+        ):
+            ends = zip(("", "_low", "_high"), limits(values, is_share=True), strict=True)
+            row |= {f"{outcome}{end}": value for end, value in ends}
+        found.append(row)
+    return pd.DataFrame(found)
 
 
 def own_crashes(rows: pd.DataFrame) -> pd.DataFrame:

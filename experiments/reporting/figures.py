@@ -200,7 +200,7 @@ def crashes_against_speed(drivers: pd.DataFrame, name: str) -> str:
         panels = figure.subplots(1, len(TRAFFICS), sharex=True, sharey=True)
         for panel, traffic in zip(panels, TRAFFICS, strict=True):
             for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
-                _task(panel, str(task), own.set_index("driver"))
+                _task(panel, str(task), own.set_index("driver"), "mean_speed", 30.0)
             panel.set(title=f"in {traffic} traffic", xlim=(0, 33), xticks=[0, 10, 20, 30])
             _share(panel)
         panels[0].set_ylabel("episodes with a crash")
@@ -212,29 +212,55 @@ def crashes_against_speed(drivers: pd.DataFrame, name: str) -> str:
         return to_svg(figure, f"{name}-speed", "Crash rate against speed, from control to treated agents")
 
 
-def _task(panel: Axes, task: str, drivers: pd.DataFrame) -> None:
-    """The drivers of a task in one traffic, by name."""
+@styled
+def crashes_against_danger(drivers: pd.DataFrame) -> str:
+    """Crashes from critical moments against episodes in danger, an arrow from control to treated agents for each task.
+
+    drivers: a row a task, traffic and driver (an arm), with the columns of `analysis.takeover.overall`.
+    """
+    with matplotlib.rc_context(LARGER):
+        figure = Figure(figsize=(6.5, 4.3), layout="constrained")
+        panels = figure.subplots(1, len(TRAFFICS), sharex=True, sharey=True)
+        for panel, traffic in zip(panels, TRAFFICS, strict=True):
+            for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
+                _task(panel, str(task), own.set_index("driver"), "danger", 1.0)
+            panel.set(title=f"in {traffic} traffic", xlim=(-0.04, 1.2), xticks=[0, 0.5, 1])
+            panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
+            _share(panel)
+        panels[0].set_ylabel("critical moments that end in a crash")
+        figure.supxlabel("episodes in danger", fontsize=11)
+        marks = [("control agents", PAPER), ("treated agents", INK)]
+        handles = [
+            Line2D([], [], color=INK, ls="", marker="o", mfc=fill, label=words) for words, fill in marks
+        ]
+        figure.legend(handles=handles, loc="outside upper center", ncols=2, handletextpad=0.1)
+        words = "Crashes from critical moments against episodes in danger, from control to treated agents, by task"
+        return to_svg(figure, "danger", words)
+
+
+def _task(panel: Axes, task: str, drivers: pd.DataFrame, x: str, span: float) -> None:
+    """The drivers of a task in one traffic, by name. x: the horizontal outcome, and its span."""
     colour = TASKS.get(task, INK)
     for name in BESIDE:
         if name in drivers.index:
-            place = drivers.loc[name, ["mean_speed", "crashed"]]
+            place = drivers.loc[name, [x, "crashed"]]
             panel.plot(*place, MARKS[name], color=colour, mfc="none", ms=6, clip_on=False)
     start, end = (drivers.loc[arm] for arm in ARMS)
     for row, fill in ((start, PAPER), (end, colour)):
         ends: dict[str, Any] = {
             axis: [[row[name] - row[f"{name}_low"]], [row[f"{name}_high"] - row[name]]]
-            for axis, name in (("xerr", "mean_speed"), ("yerr", "crashed"))
+            for axis, name in (("xerr", x), ("yerr", "crashed"))
         }
         form: dict[str, Any] = {"color": colour, "mfc": fill, "ms": 7, "mew": 1.6, "clip_on": False}
-        panel.errorbar(row["mean_speed"], row["crashed"], fmt="o", zorder=4, **ends, **form)
-    goal, origin = ((row["mean_speed"], row["crashed"]) for row in (end, start))
-    way = np.hypot((goal[0] - origin[0]) / 30, goal[1] - origin[1])
+        panel.errorbar(row[x], row["crashed"], fmt="o", zorder=4, **ends, **form)
+    goal, origin = ((row[x], row["crashed"]) for row in (end, start))
+    way = np.hypot((goal[0] - origin[0]) / span, goal[1] - origin[1])
     if way > 0.05:  # else the head of the arrow is longer than it
         arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, "lw": 2, "shrinkA": 0, "shrinkB": 3}
         panel.annotate("", goal, origin, arrowprops=arrow, zorder=3)
-    x, y, side = NAMES.get(task, (0, 9, "center"))
+    right, up, side = NAMES.get(task, (0, 9, "center"))
     words: dict[str, Any] = {"color": colour, "fontweight": "bold", "fontsize": 10, "ha": side}
-    panel.annotate(task, origin, (x, y), textcoords="offset points", zorder=5, **words)
+    panel.annotate(task, origin, (right, up), textcoords="offset points", zorder=5, **words)
 
 
 @styled

@@ -30,13 +30,15 @@ def table(answers: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
         scale, digits = (1.0, 2) if row["question"].endswith("per km") else (100.0, 1)
         low, high = (plain(scale * row[end], digits, signed=True) for end in ("low", "high"))
         difference = plain(scale * row["estimate"], digits, signed=True)
-        rows.append({
-            "question": question_in_words(row["question"], names),
-            **{names[of]: plain(scale * row[of], digits) for of in PAIR},
-            "difference": difference if row["low"] != row["low"] else f"{difference} [{low}, {high}]",
-            "p": p_value(row["p"]) if row["status"] == "ok" else row["status"],
-            "of": row["count"],
-        })  # fmt: skip
+        rows.append(
+            {
+                "question": question_in_words(row["question"], names),
+                **{names[of]: plain(scale * row[of], digits) for of in PAIR},
+                "difference": difference if row["low"] != row["low"] else f"{difference} [{low}, {high}]",
+                "p": p_value(row["p"]) if row["status"] == "ok" else row["status"],
+                "of": row["count"],
+            }
+        )
     return pd.DataFrame(rows)
 
 

@@ -64,6 +64,11 @@ def test_answers_are_those_by_hand() -> None:
     rates = analysis.rates(BY_HAND).set_index(["leader", "driver"])
     assert rates.loc[("a", "a"), ["moments", "crashed", "to_the_end"]].tolist() == [5, 3 / 5, 4 / 5]
     assert rates.loc[("a", "b"), ["moments", "crashed", "to_the_end"]].tolist() == [5, 2 / 5, 3 / 5]
+    whole = analysis.overall(BY_HAND).set_index("driver")
+    assert whole["danger"].tolist() == [6 / 8, 4 / 8] and whole["crashed"].tolist() == [6 / 8, 3 / 8]
+    assert whole.loc["a", ["crashed_low", "crashed_high"]].tolist() == pytest.approx(
+        [0.4093, 0.9285], abs=1e-4
+    )
     own = analysis.own_crashes(BY_HAND).set_index("leader")
     assert own.loc["a"].tolist() == pytest.approx([5, 3 / 5, 1 / 5, 1 / 5])
     assert own.loc["b"].tolist() == pytest.approx([2, 1 / 2, 0, 1 / 2])

@@ -22,7 +22,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from experiments.study.results.schema import PURPOSES, SCHEMA, check_record, check_table
+from experiments.study.results.schema import PURPOSES, SCHEMA, OtherVersion, check_record, check_table
 from experiments.support.errors import UserError
 
 T = TypeVar("T")
@@ -33,8 +33,8 @@ class Damaged(UserError):
 
     remedy: str
 
-    def __init__(self, file: Path, reason: str) -> None:
-        super().__init__(f"{file} is damaged ({reason}): {self.remedy}")
+    def __init__(self, file: Path, reason: str, is_whole: bool = False) -> None:
+        super().__init__(f"{file} {reason}" if is_whole else f"{file} is damaged ({reason}): {self.remedy}")
         self.file, self.reason = file, reason
 
 
@@ -59,7 +59,8 @@ def asked_of(path: Path, asked: Callable[[Path], T], damaged: type[Damaged]) -> 
         return asked(path)
     except Exception as error:
         reason = error.strerror if isinstance(error, OSError) else str(error).partition("\n")[0]
-        raise damaged(path, reason or f"it cannot be read: {type(error).__name__}") from None
+        reason = reason or f"it cannot be read: {type(error).__name__}"
+        raise damaged(path, reason, is_whole=isinstance(error, OtherVersion)) from None
 
 
 def content(records: Mapping[str, Mapping[str, Any]], table: pa.Table) -> bytes:

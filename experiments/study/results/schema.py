@@ -70,11 +70,15 @@ def schema_of(columns: Mapping[str, str], missing: Collection[str] = ()) -> pa.S
 SCHEMA = schema_of({"cell": "str", "purpose": "str", **COLUMNS}, OF_CRASH)
 
 
+class OtherVersion(ValueError):
+    """A file that is whole, and that this version does not read."""
+
+
 def check_record(name: str, record: Any) -> None:
     """That this is the record of the cell of this name, the hash of its key. Raises ValueError, or KeyError."""
     if (schema := record["schema"]) != RESULT_SCHEMA:
-        raise ValueError(
-            f"version {schema} of such files has written it, and this is {RESULT_SCHEMA}; results/FROZEN.md names the "
+        raise OtherVersion(
+            f"was written by version {schema} of such files, and this is {RESULT_SCHEMA}: results/FROZEN.md names the "
             "commits that read published ones"
         )
     if (task := record["key"]["task"]) not in tasks_known():

@@ -51,7 +51,7 @@ def rewritten(
 RECORDS: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda r: r["key"].update(task="rush"), "its task 'rush'"),
     (lambda r: r["key"].pop("eval"), "eval"),
-    (lambda r: r.update(schema=99), "version 99"),
+    (lambda r: r.update(schema=99), "was written by version 99"),
     (lambda r: r["files"].pop("gates.parquet"), "without a record"),
 ]
 ROWS: list[tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = [
@@ -76,5 +76,5 @@ def test_wrong_contents_are_named(of_record: Any, of_rows: Any, said: str, resul
     name = min(Store(results).agents())
     other = rewritten(results / "cells" / f"{name}.parquet", of_record, of_rows)
     found = load(results)
-    assert re.search(rf"parquet is damaged \(.*{re.escape(said)}", found.damaged[other])
+    assert re.search(rf"parquet (is damaged \(.*)?{re.escape(said)}", found.damaged[other])
     assert other not in found.cells

@@ -71,11 +71,13 @@ KEYS = {
     "duration": Key(within="(0, 100000]"),  # [s] SUMO's clock counts milliseconds
     "spawn_probability": Key(within="[0, 1]"),
     "reward_speed_range": Key(like=[0.0, 1.0]),  # [m/s]
-    "initial_speed": Key(like=0),  # [m/s]
-    "begin": Key(within="[0, inf]", like=0),  # [s]
+    "initial_speed": Key(within="[0, 1000]", like=0),  # [m/s]
+    "time_gap": Key(within="(0, 100000]"),  # [s]
+    "begin": Key(within="[0, 1e10]", like=0),  # [s]
     "warm_up": Key(within="[0, 100000]"),  # [s]
     "wait": Key(within="[0, 100000]"),  # [s]
 }
+WEIGHT = Key(within="[-1e9, 1e9]")  # of a term of the reward
 COMMON: Config = {key: row.default for key, row in KEYS.items() if row.default is not None}
 
 DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
@@ -340,7 +342,8 @@ def _check(task: str, config: Config, defaults: Config) -> None:
     if lacking := {"duration", *TYPES} - config.keys():
         raise ConfigError(f"the defaults of {task!r} lack {', '.join(sorted(lacking))}: add the base class's")
     for key, default in defaults.items():
-        KEYS.get(key, Key()).check(key, default, config[key])
+        row = KEYS.get(key, WEIGHT if key.endswith("_reward") and _is_number(default) else Key())
+        row.check(key, default, config[key])
     one_of("value of config['drivers']:", config["drivers"], DRIVERS)
     speeds = config["reward_speed_range"] if "reward_speed_range" in defaults else None
     if speeds is not None and speeds[0] == speeds[1]:

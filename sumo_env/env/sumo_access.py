@@ -13,7 +13,7 @@ import gymnasium as gym
 
 from sumo_env.config import ConfigError
 from sumo_env.env.episode import Episode
-from sumo_env.simulator import Simulator
+from sumo_env.simulator import Simulator, SimulatorError
 from sumo_env.sumo import export
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.settings import file_settings
@@ -77,7 +77,7 @@ class SumoAccess:
             recorded = None
             try:
                 simulator: Simulator = copy.deepcopy(self.given) or SumoProcess()
-            except TypeError:  # it cannot be copied
+            except (TypeError, SimulatorError):  # it cannot be copied, or has died
                 simulator = SumoProcess()
             if episode.scenario.traffic is not None:
                 recorded = Path(temporary) / "fcd.xml"

@@ -141,7 +141,7 @@ class _Reader:
         self._edge, self._lanes = "", set[str]()  # the edge around an element, and the numbers of its lanes
 
     def read(self) -> None:
-        """Read the file; of included ones it is only looked whether SUMO survives them."""
+        """Read the file, and those that it includes."""
         path = self._path
         try:
             with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as opened:
@@ -157,7 +157,7 @@ class _Reader:
         ):  # without a word SUMO goes on without the others
             if further in self._including:
                 raise ConfigError(f"{path} includes {further}, which includes it: SUMO would not end")
-            _Reader(Contents(), further, self._is_network, False, self._including).read()
+            _Reader(self._contents, further, self._is_network, False, self._including).read()
 
     def _refuse(self, what: str) -> NoReturn:
         raise ConfigError(f"{self._path}, line {self._parser.CurrentLineNumber}: {what}")

@@ -17,6 +17,7 @@ from sumo_env.scenarios.random_traffic import elements
 from sumo_env.scenarios.reward_terms import TERMS, measures_energy, terms
 from sumo_env.scene import CLOSING, FOE, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST
 from sumo_env.streams import stream
+from sumo_env.sumo.settings import COLLISIONS
 from sumo_env.sumo.user_files import (
     configuration,
     is_configuration,
@@ -33,6 +34,7 @@ from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
 Route = Sequence[str]
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
 STEP = "0.1"  # [s]
+MOST_SCALED = 100  # times the traffic
 SIDE_RANGE = 50.0  # [m] to the sides that the observation shows: a lane is a sixteenth of it
 # What a task of SUMO's files is never asked, and what says it there.
 NOT_ASKED = {
@@ -114,6 +116,11 @@ class NetworkTask(Task):
             options = configuration(file)
             self.outputs = tuple((name, value) for name, value in options.items() if is_output(name))
             options = {name: value for name, value in options.items() if not is_output(name)}
+            for name, value in COLLISIONS.items():
+                if options.get(name, value) != value:
+                    warn_once(
+                        f"{file}: {name}={options[name]} is replaced by {value}: contacts change nothing here"
+                    )
         else:
             options = {"net-file": str(plain_path(file))}
         drawn = self._take_routes(routes, options)
@@ -247,7 +254,7 @@ class NetworkTask(Task):
         begin = self._begin(config)
         options = {**self._options, "step-length": f"{1.0 / self.frequency(config):.6g}"}
         if begin is not None:
-            options["begin"] = f"{begin:g}"
+            options["begin"] = f"{begin:.12g}"
         start, drawn = seconds("begin", options.get("begin", "0")), ""
         scale = self._scale(config, seed)
         without_effect = not self._drawn and (config["vehicles_count"] or config["spawn_probability"])
@@ -294,8 +301,10 @@ class NetworkTask(Task):
     def _scale(self, config: Config, seed: int) -> float:
         """The factor on the traffic of an episode."""
         low, high = config["traffic_scale"]
-        if not 0.0 <= low <= high:
-            raise ConfigError(f"'traffic_scale' must be [low, high] from 0 on, not {[low, high]!r}")
+        if not 0.0 <= low <= high <= MOST_SCALED:
+            raise ConfigError(
+                f"'traffic_scale' must be [low, high] from 0 to {MOST_SCALED}, not {[low, high]!r}"
+            )
         if low < 1.0 and self._learning:
             raise ConfigError(
                 f"'traffic_scale' must be from 1 on, not {[low, high]!r}: SUMO may leave out an ego of the files; "

@@ -217,11 +217,11 @@ class RouteEgo:
     def _look_along_the_edge(self, lane: str) -> None:
         session, network = self._session, self._network
         start, end, place = self._index
-        beside = []
+        beside, takes_lanes = [], self.vehicle.takes_lanes
         for other in ((start, end, place - 1), (start, end, place + 1)):
             there = network.lanes.get(other)
             near = there is not None and abs(network.sumo_index(other) - network.sumo_index(self._index)) == 1
-            may = near and there is not None and session.may_change(lane, there.id, self._class)
+            may = near and there and takes_lanes and session.may_change(lane, there.id, self._class)
             beside.append(other if may else None)
         self._sides = (beside[0], beside[1])
         if len(self.ahead) <= 1:
@@ -236,7 +236,8 @@ class RouteEgo:
         self._reaches = left, right
         here = next(k for k, found in enumerate(lanes) if found[0] == lane)
         _, self._length, self._leads_on = lanes[here]
-        self._may_turn = self._leads_on or any(self._gets_on(lanes, here, side) for side in (1, -1))
+        gets_on = takes_lanes and any(self._gets_on(lanes, here, side) for side in (1, -1))
+        self._may_turn = self._leads_on or gets_on
 
     def _gets_on(self, lanes: list[tuple[str, float, bool]], place: int, side: int) -> bool:
         """Whether changes to one side, as far as the road's markings let it, lead to a lane that leads on."""

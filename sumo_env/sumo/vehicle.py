@@ -25,6 +25,7 @@ from sumo_env.traffic.scenario import VehicleSpec
 IN_SUMO = {"accel": ("Accel",), "emergency_decel": ("EmergencyDecel",), "decel": ("ApparentDecel", "Decel")}
 IN_SUMO |= {"tau": ("Tau",), "min_gap": ("MinGap",)}
 OF_SUMO = REGULAR, OWN_LANE_CHANGES  # modes in which SUMO's vehicles begin
+ROUNDING = 1e-6  # [s] SUMO counts in whole milliseconds
 MOVING = 1.0  # [m/s] below it no commanded lane change begins: SUMO would slide the vehicle sideways
 LEAST_SIDEWAYS = 0.01  # [m/s]
 
@@ -158,7 +159,15 @@ class Vehicle:
 
     def may_begin_change(self, fastest: float) -> bool:
         """Whether a lane change may begin now: it does not stand, and its lane goes on until the change is over."""
-        return self._session.vehicle.getSpeed(self.name) >= MOVING and not self.is_late(fastest)
+        is_moving = self._session.vehicle.getSpeed(self.name) >= MOVING
+        return is_moving and self.takes_lanes and not self.is_late(fastest)
+
+    @property
+    def takes_lanes(self) -> bool:
+        """Whether SUMO survives a commanded change: not one that takes time, of a driver that acts rarely."""
+        session = self._session
+        acts = session.vehicle.getActionStepLength(self.name)
+        return bool(session.lane_change_duration == 0.0 or acts < session.step_length + ROUNDING)
 
     def crash(self, speed: float) -> None:
         """From now on it coasts to a stop from its `speed` [m/s], and stays where it is, as in highway-env."""

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sumo_env import parallel_env
 from sumo_env.config import ConfigError, warn_once
+from sumo_env.env import DrivingEnv
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
-from tests.sumo_env.plans import grid, needs_sumo
+from sumo_env.tasks import TASKS
+from tests.sumo_env.plans import grid, needs_sumo, route_file
 from tests.sumo_env.scenarios.files import written
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
@@ -146,3 +150,49 @@ def test_what_differs_from_what_one_would_think_is_said(town: Path, monkeypatch,
             env.reset(seed=0)
     for env in envs:
         env.close()
+
+
+# -- numbers -------------------------------------------------------------------------------------------------------
+
+ODD = (0, -1, 1e9, 1e308)
+
+
+def odd_values(value: Any) -> list[Any]:
+    """Other numbers in place of a number, or of those of a list; none in place of anything else."""
+    several = value if isinstance(value, list) else [value]
+    if not several or not all(isinstance(one, int | float) and not isinstance(one, bool) for one in several):
+        return []
+    return [[*(len(value) - 1) * [0.0], odd] for odd in ODD] if value is several else list(ODD)
+
+
+@pytest.mark.parametrize("task", ["network", *(pytest.param(task, marks=pytest.mark.long) for task in TASKS)])
+def test_every_number_of_a_configuration_is_refused_or_gives_finite_numbers(
+    task: str, tmp_path: Path
+) -> None:
+    net = grid(tmp_path, "--grid.number=2", "--grid.length=100", "-L=2")
+    flow = '<flow id="f" begin="0" end="60" period="3" from="A0A1" to="B1B0"/>'
+    own: dict[str, Any] = {
+        "network": net,
+        "routes": route_file(tmp_path, flow),
+        "ego_trips": [("A0A1", "B1B0")],
+    }
+    taken = 0
+    with closing(SumoDrivingEnv(**own) if task == "network" else DrivingEnv(task)) as env:
+        usual = {key: value for key, value in env.config.items() if odd_values(value)}
+        usual["reward_speed_range"] = [0, 1]
+        weights = [key for key in usual if key.endswith("_reward")]  # all at once
+        changes = [dict.fromkeys(weights, odd) for odd in ODD]
+        changes += [{key: odd} for key in usual.keys() - weights for odd in odd_values(usual[key])]
+        for change in changes:
+            try:
+                env.configure({**usual, **change})
+                env.reset(seed=0)
+            except (ConfigError, SimulatorError) as error:
+                assert "\n" not in str(error), change
+                continue
+            for action in (1, 0):
+                seen, reward, *_, info = env.step(action)
+                assert np.isfinite([reward, *info["rewards"].values()]).all(), change
+                assert np.isfinite(seen).all(), change
+            taken += 1
+    assert taken > 10

@@ -14,6 +14,7 @@ from sumo_env.config import ConfigError
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scenarios.file_checks import check_files
 from tests.sumo_env.plans import needs_sumo
+from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios.files import written
 
 WRITERS = {
@@ -134,3 +135,29 @@ def test_sumo_reads_no_schema_of_the_network(town: Path, tmp_path: Path) -> None
         server.setblocking(False)
         with pytest.raises(BlockingIOError):
             server.accept()
+
+
+@needs_sumo
+def test_an_ego_of_an_included_file_is_known_with_the_place_where_it_arrives(
+    town: Path, tmp_path: Path
+) -> None:
+    more = tmp_path / "more.rou.xml"
+    more.write_text(
+        '<routes><vehicle id="me" depart="1" arrivalPos="30"><route edges="A0A1 A1B1"/></vehicle></routes>'
+    )
+    (tmp_path / "all.rou.xml").write_text('<routes><include href="more.rou.xml"/></routes>')
+    env = SumoDrivingEnv(town / "grid.net.xml", tmp_path / "all.rou.xml", ego_vehicle="me")
+    env.reset(seed=0)
+    env.hand_over()
+    *_, (*_, last) = list(drive(env, 1))
+    assert last["ending"] == "arrived" and last["rewards"]["progress_reward"] < 0.2
+    env.close()
+
+
+@needs_sumo
+def test_other_options_for_collisions_are_replaced_and_named(town: Path) -> None:
+    config = town / "collisions.sumocfg"
+    text = (town / "t.sumocfg").read_text()
+    config.write_text(text.replace("<time>", '<time><collision.action value="remove"/>'))
+    with pytest.warns(UserWarning, match="collision.action=remove is replaced by warn"):
+        SumoDrivingEnv(config, ego_vehicle="ego")

@@ -6,6 +6,9 @@ The misuses run in a process of their own, because the wrong outcome is the end 
 from __future__ import annotations
 
 import json
+import os
+import signal
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +18,10 @@ import pytest
 from sumo_env.env import DrivingEnv
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
+from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.session import Session
 from tests.processes import ended
+from tests.sumo_env import plans
 from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios import files
@@ -126,3 +131,50 @@ def test_an_episode_that_was_interrupted_is_over_and_the_next_one_is_as_ever(
         env.step(1)
     np.testing.assert_array_equal([seen for seen, *_ in drive(env, [1] * 8, seed=5)], expected)
     env.close()
+
+
+# What decisions.md lists as the end of libsumo's process, and is neither refused nor among MISUSES.
+RARE = """
+import sys
+from contextlib import closing
+from sumo_env.scenarios import SumoDrivingEnv
+
+net, routes = sys.argv[1:]
+for seed in range(3):
+    options = ["--lanechange.duration", "3"]
+    with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config={"risk": 1.0}, sumo_options=options)) as env:
+        env.reset(seed=seed)
+        over = False
+        while not over:
+            assert not {0, 2} & {*env.get_available_actions()}
+            over = any(env.step(2 * (env.steps % 2))[2:4])
+        print(seed, flush=True)
+"""
+
+
+@needs_sumo
+def test_drivers_that_act_rarely_are_commanded_no_lane_change_that_takes_time(tmp_path: Path) -> None:
+    """Neither by a cut-in nor by the agent: SUMO would break down."""
+    net = plans.grid(tmp_path, "--grid.number=4", "--grid.length=120", "-L=3", "--no-turnarounds")
+    ways = [("A0A1", "D3D2"), ("D0D1", "A3A2"), ("A3B3", "D0C0"), ("C3C2", "B0B1")]
+    trips = [
+        f'<trip id="t{k}" type="t" depart="{k / 2}" from="{a}" to="{b}"/>'
+        for k in range(80)
+        for a, b in [ways[k % 4]]
+    ]
+    trips.insert(40, trips[40].replace('id="t40"', 'id="ego"'))
+    routes = plans.route_file(tmp_path, '<vType id="t" actionStepLength="1.0"/>' + "".join(trips))
+    done = ended("-W", "ignore", "-c", RARE, net, routes)
+    assert (done.returncode, done.stdout.split()) == (0, ["0", "1", "2"]), done.stderr[-2000:]
+
+
+def test_an_episode_is_exported_after_sumo_has_died(tmp_path: Path) -> None:
+    """Also where the simulator was given, as in a vector environment."""
+    with closing(DrivingEnv("u-turn", simulator=SumoProcess())) as env:
+        env.reset(seed=0)
+        env.step(1)
+        process: Any = env._access.simulator
+        os.kill(process.pid, signal.SIGKILL)
+        with pytest.raises(SimulatorError):
+            env.step(1)
+        assert tmp_path / "episode.sumocfg" in env.export(tmp_path)

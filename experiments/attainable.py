@@ -1,6 +1,6 @@
 """Say what can be had in a setting before anybody learns there: without foresight, and by knowing the future.
 
-    python experiments/attainable.py                                       # knowing the future: 20 minutes on a core
+    python experiments/attainable.py                                       # knowing the future: 30 minutes on a core
     python experiments/attainable.py --tasks two-way two-way-brakes --levels 1 3 --scenarios 24
     python experiments/attainable.py --backend sumo --tasks u-turn         # drivers without foresight
 
@@ -41,7 +41,7 @@ from agents.rules import CAUTIONS
 from experiments.backends import make_env
 from experiments.study.compute.attainable import Batch, always
 from experiments.study.compute.batches import driven
-from experiments.study.compute.entrants import Entrant, entrant_of
+from experiments.study.compute.entrants import Entrant, several
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.foresight import WIDTH
 from experiments.study.design import attainable
@@ -76,7 +76,8 @@ class Options:
     width: int = WIDTH
     """States that the search keeps after each step."""
     policies: Annotated[tuple[str, ...], argument("POLICY ...")] = ()
-    """Agents that drive on SUMO as well, named as for evaluate.py."""
+    """Agents that drive on SUMO as well: published ones (control), a directory of results, or DIR/PART: all agents of
+    the setting in it that have PART in their names."""
     executor: Annotated[str, argument("NAME")] = "local"
     """Where is computed: local (processes of this machine), ray or slurm (docs/clusters.md)."""
     workers: Annotated[int | None, argument("N", "the number of cores")] = None
@@ -100,11 +101,11 @@ def drivers(options: Options, task: str, level: int) -> Iterator[tuple[Entrant |
         inner: Any = env.unwrapped
         for action in inner.actions.values():
             yield always(action).resolved(env), CONSTANT
-        for policy in (*RULE_DRIVERS, PLANNER, BY_SUMO, *options.policies):
+        for policies in (*RULE_DRIVERS, PLANNER, BY_SUMO, *options.policies):
             # whoever may stand still has all speeds of SUMO's driver
-            has_more = policy == BY_SUMO and min(inner.target_speeds) > 0
-            entrant = entrant_of(policy, task, level_names(task)[level - 1])
-            yield entrant.resolved(env), MORE if has_more else POLICY
+            has_more = policies == BY_SUMO and min(inner.target_speeds) > 0
+            for entrant in several(policies, task, level_names(task)[level - 1]):
+                yield entrant.resolved(env), MORE if has_more else POLICY
 
 
 def batches(options: Options) -> tuple[list[Batch], list[str]]:

@@ -20,7 +20,9 @@ import pytest
 import sumo_env
 from docs import pages, settings
 from docs.pages import filled, page_of, templates
+from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID
+from experiments.study.design.traffic import TRAFFICS
 from sumo_env.config import COMMON, FIXED, WITHOUT_EFFECT
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.scenarios import NetworkTask
@@ -239,6 +241,17 @@ def test_settings_that_learn_are_those_of_readme_s_script() -> None:
     agents = [row["crashes"] for name, row in rows.items() if re.fullmatch(r"u-turn/1/\d", name)]
     random = rows["u-turn/1/random"]["crashes"]
     assert settings.readme_agents() == {"count": len(agents), "crashes": median(agents), "random": random}
+
+
+def test_scenarios_of_the_two_way_road_that_nothing_survives_are_those_that_were_found() -> None:
+    rows = table(page("environments/two-way.md"))
+    for task, shown in (("two-way", rows["[20, 25, 30]`, highway-env's (`two-way` in the study)"]),
+                        ("two-way-brakes", rows["[10, 20, 30]` (`two-way-brakes`)"])):  # fmt: skip
+        for level, text in zip(GRID["two-way"], shown, strict=True):
+            shares = [
+                attainable.stored()[f"{task} {level} {traffic}"]["search"]["no_safe"] for traffic in TRAFFICS
+            ]
+            assert text == "{:.0f}, {:.0f} %".format(*(100 * share for share in shares))
 
 
 def test_the_checks_of_the_validation_are_counted() -> None:

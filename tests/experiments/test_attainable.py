@@ -70,14 +70,18 @@ def test_drivers_without_foresight_are_the_marks_of_returns(
     tmp_path: Path, stored: Path, monkeypatch
 ) -> None:
     monkeypatch.setattr(attainable, "MOST", {"planner": 2})
-    found = ask(tmp_path, backend="sumo", tasks=("u-turn",), levels=(1,), scenarios=3, update=True)
+    asked: dict[str, Any] = {"backend": "sumo", "tasks": ("u-turn",), "levels": (1,)}
+    found = ask(tmp_path, **asked, policies=("control",), scenarios=3, update=True)
     assert read_json(stored) == found
     for place, of in found.items():
         kinds = {name: one["kind"] for name, one in of["drivers"].items()}
         assert {name for name, kind in kinds.items() if kind == "constant"} == {
             "IDLE", "FASTER", "SLOWER", "LANE_LEFT", "LANE_RIGHT",
         }  # fmt: skip
-        assert kinds["sumo"] == "more actions" and kinds["planner"] == kinds["careful-4"] == "policy"
+        assert (
+            kinds["sumo"] == "more actions"
+            and kinds["planner"] == kinds["careful-4"] == kinds["u-turn-3/control"] == "policy"
+        )
         assert of["drivers"]["planner"]["scenarios"] == 2 and of["drivers"]["idm"]["scenarios"] == 3
         values = {
             kind: max(one["return"] for one in of["drivers"].values() if one["kind"] == kind)

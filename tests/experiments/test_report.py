@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from experiments.analysis.effects import ESTIMATE, MEANS, WORKING_COLUMNS, means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting.by_task import both_arms
 from experiments.reporting.tables import difference, main
+from experiments.study.design import attainable
 from experiments.study.design.verdict import STORED
 from experiments.study.results.loaded import load
 from experiments.support.errors import UserError
@@ -84,8 +86,12 @@ def directory(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def analysis(directory) -> Analysis:
-    return reported(directory)[0]
+def analysis(directory) -> Iterator[Analysis]:
+    drivers = {"IDLE": {"kind": "constant", "return": 1.0}, "planner": {"kind": "policy", "return": 9.0}}
+    with pytest.MonkeyPatch.context() as patch:
+        places = [f"intersection 10 {traffic}" for traffic in ("regular", "risky")]
+        patch.setattr(attainable, "stored", lambda: {place: {"drivers": drivers} for place in places})
+        yield reported(directory)[0]
 
 
 @pytest.mark.usefixtures("analysis")
@@ -96,6 +102,13 @@ class TestReport:
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(table)
         text = Page((directory / "appendix.html").read_text()).text
         assert "told" in text and "dose50" in text
+
+    def test_scores_stand_beside_returns_and_are_explained(self, directory):
+        for name in ("report.html", "report.md"):
+            text = (directory / name).read_text()
+            assert "score" in text and text.count("Score: 0 is the best constant action") == 1
+        appendix = (directory / "appendix.html").read_text()
+        assert "score, risky" in appendix and "score, regular" in appendix
 
     def test_analysis_json_has_all_frames(self, directory, analysis):
         value = json.loads((directory / "analysis.json").read_text(), parse_constant=pytest.fail)

@@ -17,6 +17,7 @@ from agents.rules import POLICIES
 from experiments.study.design.arms import ARMS
 from experiments.study.design.cell import setting_of_agent
 from experiments.study.results.loaded import SETTING, Results
+from experiments.study.results.store import of_other_weights
 from experiments.support.files import canonical_json
 
 Cell = Mapping[str, Any]
@@ -68,6 +69,10 @@ def _of_other_groups(cells: pd.DataFrame, results: Results) -> dict[str, str]:
             found[name] = _differing(own, reference, shared)
         elif not agents or not reference.items() <= own.items():
             found[name] = ALONE
+        elif tested := results.cells[name].get("tested"):
+            agent = results.cells.get(tested["cell"])
+            if agent and of_other_weights(results.cells[name], agent):
+                found[name] = "its agent was trained again"
     return {name: reason for name, reason in found.items() if reason}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from experiments.study.compute.worth import Worth
 from experiments.study.design.arms import gate_traffics
 from experiments.study.design.cell import Cell, learner_of, tested_on
 from experiments.study.results.schema import EPISODES, GATES, TRAINING, WEIGHTS
-from experiments.study.results.store import DamagedCell, Store
+from experiments.study.results.store import DamagedCell, Store, of_other_weights
 from experiments.support.errors import UserError
 from experiments.support.files import made
 from experiments.support.provenance import provenance
@@ -54,7 +54,13 @@ class CellTask:
         """Whether it is stored; damaged results are named and put aside."""
         store = Store(self.directory)
         try:
-            return store.is_whole(self.name)
+            if not store.is_whole(self.name):
+                return False
+            record = store.record(self.name)
+            with suppress(KeyError):  # no further test, or of an agent that is not here
+                if of_other_weights(record, store.record(record["tested"]["cell"])):
+                    raise DamagedCell(store.cells / f"{self.name}.parquet", "its agent was trained again")
+            return True
         except DamagedCell as error:
             aside = store.put_aside(self.name)
             print(f"{error.file} is damaged ({error.reason}): put aside in {aside}, to be computed again")
@@ -89,6 +95,10 @@ class CellTask:
             trained.policy.save(made(self.folder) / WEIGHTS)
             files = {TRAINING: episodes, WEIGHTS: self.folder / WEIGHTS}
             learner = {"learner": record}
+        elif cell.kind == "test":
+            self._weights()  # which are here
+            tested = store.record(cell.parent.name)["files"].get(WEIGHTS)
+            learner = {"tested": {"cell": cell.parent.name, "sha256": tested}}
         started = time.monotonic()
         with closing(self.make_env(*tested_on(cell.key()))) as env:
             files |= self._test(env, on_episode, record)

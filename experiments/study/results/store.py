@@ -284,6 +284,11 @@ class Store:
         return [name for name in own if name not in packed]
 
 
+def of_other_weights(test: Mapping[str, Any], agent: Mapping[str, Any]) -> bool:
+    """Whether a further test was of other weights than its agent has now, which was trained again; both are records."""
+    return bool(test["tested"]["sha256"] != agent["files"].get(WEIGHTS))
+
+
 def part_of(key: Mapping[str, Any]) -> str:
     """The part that a cell belongs to, for example "sumo-highway-50-control", or "policies" of its setting."""
     return f"{setting(key)}-{key['arm'] or 'policies'}"

@@ -105,6 +105,14 @@ def test_cells_of_two_versions_never_share_a_mean(results: Results, analysis: An
         pd.testing.assert_frame_equal(getattr(found, name), getattr(analysis, name))
 
 
+def test_a_test_of_other_weights_than_its_agent_s_counts_nowhere(results: Results) -> None:
+    mixed = results.table[results.table["arm"] == "mixed"]
+    agent, test = (mixed.index[mixed["kind"] == kind][0] for kind in ("agent", "test"))
+    for digest, left_out in (("another", {test: "its agent was trained again"}), (None, {})):
+        record = results.cells[test] | {"tested": {"cell": agent, "sha256": digest}}
+        assert comparable(replace(results, cells=results.cells | {test: record}))[1] == left_out
+
+
 def test_a_traffic_that_two_cells_test_counts_once(tmp_path: Path) -> None:
     """An agent's own test counts, then the test that was asked for last; the others are named."""
     synthetic.write(tmp_path, LEVELS, **STUDY, traffics=("dose25", "dose75"))

@@ -17,10 +17,11 @@ from experiments.study.compute.run import attempt
 from experiments.study.design.cell import Cell
 from experiments.study.results import store
 from experiments.study.results.loaded import load
-from experiments.study.results.schema import EPISODES
+from experiments.study.results.schema import EPISODES, WEIGHTS
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
-from tests.experiments.computed import damage, tasks_of
+from tests.experiments.computed import compute, damage, tasks_of
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +38,20 @@ def test_cells_that_were_tested_on_another_simulator_are_read_without_the_others
     assert len(results.episodes) > 0 and results.gate_episodes.empty
     with pytest.raises(UserError, match="nothing to report"):
         write_report(tmp_path)
+
+
+def test_a_further_test_of_an_agent_that_was_trained_again_is_computed_again(tmp_path, monkeypatch):
+    tasks = {task.cell.kind: task for task in tasks_of(tmp_path, arms=("control",), traffics=("dose25",))}
+    compute(tasks[kind] for kind in ("agent", "test"))
+    record, agent, test = Store.record, tasks["agent"].name, tasks["test"]
+    assert test.done()
+
+    def trained_again(store, name):
+        found = record(store, name)
+        return {**found, "files": {**found["files"], WEIGHTS: "another"}} if name == agent else found
+
+    monkeypatch.setattr(Store, "record", trained_again)
+    assert not test.done() and len(list((tmp_path / "damaged").iterdir())) == 1
 
 
 def test_writing_twice_keeps_the_first(results, cells):

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 from experiments.rare import Options, question
 from experiments.study.compute import rare, takeover
 from experiments.study.compute.entrants import entrant_of
-from experiments.study.results.parquet import Damaged
+from experiments.study.results.parquet import Damaged, packed
 from experiments.study.results.schema import EPISODES, GATES
 from experiments.study.results.store import Store
 from experiments.validation import episodes
@@ -94,6 +96,18 @@ def test_a_changed_byte_is_noticed_or_changes_nothing(stored: tuple[Path, Read])
         path.write_bytes(content)
         with pytest.raises(Damaged):
             read()
+
+
+def test_rows_that_are_not_those_asked_for_are_named_and_driven_again(tmp_path: Path, capsys) -> None:
+    file = episodes.Part(episodes.Engine("sumo", "sumo"), "u-turn", 1, "risky", range(5), tmp_path).file
+    file.write(whole := made_up(episodes.COLUMNS, dict(file.episodes)))
+    assert file.done() and not capsys.readouterr().out
+    for rows in (whole.iloc[:-1], whole.iloc[::-1], whole.drop(columns="density")):
+        with pytest.raises(ValueError):
+            file.write(rows)
+        file.path.write_bytes(packed(pa.Table.from_pandas(rows, preserve_index=False), file.name))
+        assert not file.done()
+        assert re.search(rf"{re.escape(file.name)} is damaged .*driven again", capsys.readouterr().out)
 
 
 def test_episodes_of_another_task_are_not_taken(tmp_path: Path) -> None:

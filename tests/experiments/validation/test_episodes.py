@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
 import pytest
 
-from experiments.study.results.parquet import packed
 from experiments.validation import episodes
 from experiments.validation.episodes import COLUMNS, CORE, HEADWAYS, Engine, Part, egos, plan, run
 from sumo_env.networks.roads import highway
@@ -95,40 +89,6 @@ def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
     assert present.equals(same)  # the same rates draw the same scenarios
     drivers = {"lane_changes": True, "assertive": 5.0, "speed_gain": 200.0}
     assert not present.equals(table(options={"calibration": drivers}))
-
-
-@pytest.fixture(scope="module")
-def part(tmp_path_factory: pytest.TempPathFactory) -> Part:
-    """One that is stored."""
-    folder = tmp_path_factory.mktemp("parts")
-    part = Part(Engine("sumo", "sumo", egos=("idle",)), "u-turn", 1, "regular", range(3), folder)
-    part.compute(lambda _: None)
-    return part
-
-
-DAMAGE: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
-    "a row less": lambda t: t.iloc[:-1],
-    "another order": lambda t: t.iloc[::-1],
-    "no ego": lambda t: t.drop(columns="ego"),
-    "no density": lambda t: t.drop(columns="density"),
-}
-
-
-@pytest.mark.parametrize("way", [*DAMAGE, "half of the file"])
-def test_a_part_that_is_damaged_is_named_and_driven_again(
-    way: str, part: Part, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    moved, file = replace(part, directory=tmp_path), tmp_path / part.name
-    file.parent.mkdir(parents=True)
-    file.write_bytes(part.file.path.read_bytes())
-    assert moved.done() and not capsys.readouterr().out
-    if way in DAMAGE:
-        changed = pa.Table.from_pandas(DAMAGE[way](part.file.read()), preserve_index=False)
-        file.write_bytes(packed(changed, part.name))
-    else:
-        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    assert not moved.done()
-    assert re.search(rf"{re.escape(part.name)} is damaged .*driven again", capsys.readouterr().out)
 
 
 @pytest.mark.slow

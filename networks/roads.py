@@ -95,10 +95,9 @@ class Road:
         """Lanes that end before the road does: no lane of a next road continues them."""
         found = set()
         for index, lane in self.lanes.items():
-            node = index[1]
-            after = [other for other in self.lanes if other[0] == node and node not in self.ends]
-            end = lane.position(lane.length, 0.0)
-            beside = [abs(self.lanes[other].local_coordinates(*end)[1]) for other in after]
+            node, end = index[1], lane.position(lane.length, 0.0)
+            after = [other for key, other in self.lanes.items() if key[0] == node not in self.ends]
+            beside = [abs(other.local_coordinates(*end)[1]) for other in after]
             if beside and min(beside) > CONTINUES * lane.width and not self.oncoming:
                 found.add(index)
         return frozenset(found)

@@ -149,7 +149,10 @@ MOST_BEFORE = 20.0  # [m] that a car drives before the policy step in which its 
 def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(
     seed: int, tmp_path: Path
 ) -> None:
-    """One car or several, of any kind and with any way, driven by SUMO or by an agent, among risky drivers or not."""
+    """One car or several, of any kind and with any way, driven by SUMO or by an agent, among risky drivers or not.
+
+    Without commands and risk everybody is where ``sumo`` has them.
+    """
     rng = Random(seed)
     net, routes, beside = drawn(tmp_path, rng)
     trips, by_sumo = tmp_path / "trips.xml", seed % 2 == 0
@@ -166,6 +169,8 @@ def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(
         sumo_options=options,
     )
     env.reset(seed=seed)
+    first, scenes = env.cars["car_0"], list[tuple[float, Scene]]()
+    begin = float(first.sumo.simulation.getTime()) - first.scene.time
     steps: dict[str, list[tuple[float, dict[str, Any]]]] = {}
     while env.agents:
         for agent in env.agents:
@@ -174,8 +179,13 @@ def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(
         _, rewards, *_, infos = env.step({agent: rng.choice([0, 1, 2, 3, 3, 3]) for agent in acting})
         for agent in acting:
             steps.setdefault(env.ids[agent], []).append((rewards[agent], infos[agent]))
+        ends = any(info["ending"] for info in infos.values())  # then the scene still has the car
+        if by_sumo and config["risk"] == 0.0 and not (ends or any(first.scene.crashed)):
+            scenes.append((begin + first.scene.time, first.scene))
+    command = first.sumo_command
     env.close()
     said = {trip.get("id"): trip for trip in ElementTree.parse(trips).getroot()}
+    assert not scenes or differences(scenes, plain(command, tmp_path, scenes), 0.1) == []
     for name, driven in steps.items():
         trip, has_left = said.get(name), teleports and driven[-1][1]["removed"]
         has_arrived = trip is not None and trip.get("vaporized") == "" and not has_left
@@ -197,6 +207,8 @@ def wrongly_paid(
         wrong.append(f"costs {costs}")
     if last["arrived"] != has_arrived:
         wrong.append(f"{last['ending']!r}, SUMO: {trip is not None and trip.attrib}")
+    if not all(info["on_road"] or info["removed"] for _, info in steps):
+        wrong.append("off the road")
     if shares.min() < 0.0 or np.any((shares[:-1] > 0.0) & (metres[:-1] == 0.0)):
         wrong.append(f"shares {shares} for {metres} m")
     if has_arrived and trip.get("rerouteNo") == "0" and metres.sum() > 0.0:

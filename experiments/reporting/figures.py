@@ -101,13 +101,13 @@ def alone(svg: str) -> str:
     return svg.replace(">", f"><style>{style}</style>", 1) + "\n"
 
 
-def _share(axes: Axes) -> None:
+def share_axis(axes: Axes) -> None:
     """A crash rate on the vertical axis."""
     axes.set_ylim(-0.04, 1.04)
     axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
 
 
-def _mark(policy: str) -> dict[str, Any]:
+def mark_of(policy: str) -> dict[str, Any]:
     """How a policy without training is drawn: the careful driver as a green star, smaller at other cautions than 1, the
     others hollow and grey.
     """
@@ -123,7 +123,7 @@ def _arms(frame: pd.DataFrame) -> list[str]:
 
 def _legend(figure: Any, arms: list[str], policies: list[str], **more: Any) -> None:
     handles = [Line2D([], [], color=COLOURS[arm], marker="o", label=arm, **more) for arm in arms]
-    handles += [Line2D([], [], ls="", label=policy, **_mark(policy)) for policy in policies]
+    handles += [Line2D([], [], ls="", label=policy, **mark_of(policy)) for policy in policies]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.0, handletextpad=0.3
     )
@@ -147,7 +147,7 @@ def _panels(frame: pd.DataFrame) -> tuple[Figure, list[tuple[pd.DataFrame, Axes]
         next(iter(columns.values()))[row].set_ylabel(f"crash rate,\n{traffic} traffic")
         for task, column in columns.items():
             panels.append((frame[(frame["task"] == task) & (frame["traffic"] == traffic)], column[row]))
-            _share(column[row])
+            share_axis(column[row])
     return figure, panels
 
 
@@ -174,7 +174,7 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
             panel.errorbar(own["level"] + shift, own["crashed"], half, color=COLOURS[arm], **bars)
         for number, policy in enumerate(shown):  # beside each other, so that none hides another
             own = tested[tested["policy"] == policy]
-            panel.plot(own["level"] + 0.2 + 0.07 * number, own["crashed"], ls="", **_mark(policy))
+            panel.plot(own["level"] + 0.2 + 0.07 * number, own["crashed"], ls="", **mark_of(policy))
         panel.set_xlim(levels["level"].min() - 0.4, levels["level"].max() + 0.75)
         panel.set_xticks(levels["level"], levels["level_name"])
     figure.supxlabel("traffic level", fontsize=8.5)
@@ -202,7 +202,7 @@ def crashes_against_speed(drivers: pd.DataFrame, name: str) -> str:
             for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
                 _task(panel, str(task), own.set_index("driver"), "mean_speed", 30.0)
             panel.set(title=f"in {traffic} traffic", xlim=(0, 33), xticks=[0, 10, 20, 30])
-            _share(panel)
+            share_axis(panel)
         panels[0].set_ylabel("episodes with a crash")
         figure.supxlabel("mean speed [m/s]", fontsize=11)
         marks = [("control agents", "o", PAPER), ("treated agents", "o", INK)]
@@ -226,7 +226,7 @@ def crashes_against_danger(drivers: pd.DataFrame) -> str:
                 _task(panel, str(task), own.set_index("driver"), "danger", 1.0)
             panel.set(title=f"in {traffic} traffic", xlim=(-0.04, 1.2), xticks=[0, 0.5, 1])
             panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-            _share(panel)
+            share_axis(panel)
         panels[0].set_ylabel("critical moments that end in a crash")
         figure.supxlabel("episodes in danger", fontsize=11)
         marks = [("control agents", PAPER), ("treated agents", INK)]
@@ -308,7 +308,7 @@ def dose_response(policies: pd.DataFrame, backend: str) -> str:
             own = doses[(doses["task"] == task) & (doses["traffic"] == traffic)]
             mean = own.groupby("dose")["crashed"].mean()
             panel.plot(mean.index, mean, style, color=INK, marker="o", ms=4)
-        _share(panel)
+        share_axis(panel)
         panel.set_xticks([0, 0.5, 1], ["0", ".5", "1"])
     figure.axes[0].set_ylabel("crash rate")
     figure.supxlabel("dose of risk in training", fontsize=8.5)
@@ -337,7 +337,7 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
                 x, mean, spread = (ends - ends[0] / 2) / 1000, values.mean(), values.std(ddof=1).fillna(0)
                 panel.plot(x, mean, color=colour)
                 panel.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.2, lw=0)
-        _share(column[1])
+        share_axis(column[1])
     for panel, name in zip(next(iter(columns.values())), ("return", "crash rate"), strict=True):
         panel.set_ylabel(name)
     figure.supxlabel("environment steps (thousands)", fontsize=8.5)

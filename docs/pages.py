@@ -33,7 +33,7 @@ from experiments.analysis.drivers import drivers
 from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import STUDY
 from experiments.reporting import by_task
-from experiments.reporting.card import ALL
+from experiments.reporting.card import ALL, card_figure
 from experiments.reporting.figures import BESIDE, alone, crashes_against_danger, crashes_against_speed
 from experiments.reporting.tables import chosen, effect, interval, plain, points
 from experiments.study.compute.takeover import PAIR
@@ -71,8 +71,8 @@ def road_units(task: str, unit: str, digits: int) -> str:
     return " | ".join(plain(values[traffic], digits) for traffic in ("0", "1", "measured"))
 
 
-def entries(*outcomes: str) -> str:
-    """A table of the frozen test by driver and task: some of `by_task.COLUMNS`, each in regular/risky traffic.
+def entries() -> str:
+    """A table of the frozen test: crash rates [%] by driver and task, in regular/risky traffic.
 
     What was driven on another set or another simulator than the first entry is left out.
     """
@@ -83,9 +83,8 @@ def entries(*outcomes: str) -> str:
         rows = chosen(pd.DataFrame(card["rows"]), level=ALL).set_index(["task", "traffic"])
         for task in GRID:
             if card["set"].get(task) == first[task]:
-                both = [rows.loc[(task, traffic)] for traffic in ("regular", "risky")]
-                cells = [[points(row[name][0], name, signed=False) for row in both] for name in outcomes]
-                line[task] = " ".join(map("/".join, cells))
+                both = (rows.loc[(task, traffic)]["crashed"][0] for traffic in ("regular", "risky"))
+                line[task] = "/".join(points(rate, "crashed", signed=False) for rate in both)
         lines.append(line)
     table = pd.DataFrame(lines).fillna("")
     rows = [list(table.columns), ["---"] * len(table.columns), *table.values]
@@ -150,6 +149,12 @@ def taken_over(traffic: str) -> list[dict[str, Any]]:
     return found
 
 
+def entries_figure() -> str:
+    """Crashes against speed of the frozen test's entries."""
+    cards = evaluate.entries()
+    return alone(card_figure(cards, next(iter(cards.values()))["set"]) or "")
+
+
 def row(frame: str, **wanted: Any) -> dict[str, Any]:
     """The row of a frame of that analysis that has these values."""
     (found,) = chosen(getattr(study(), frame), backend="sumo", **wanted).to_dict("records")
@@ -208,7 +213,11 @@ FUNCTIONS: list[Callable[..., Any]] = [
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 IMAGES = ROOT / "docs" / "img"
-FIGURES = {IMAGES / "study.svg": speed_figure, IMAGES / "takeover.svg": danger_figure}
+FIGURES = {
+    IMAGES / "study.svg": speed_figure,
+    IMAGES / "takeover.svg": danger_figure,
+    IMAGES / "entries.svg": entries_figure,
+}
 
 
 def page_of(template: Path) -> Path:

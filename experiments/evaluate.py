@@ -34,9 +34,10 @@ from typing import Annotated, Any
 
 import pandas as pd
 import tyro
+from markupsafe import Markup
 
 from agents.rules import POLICIES
-from experiments.reporting.card import ALL, part, rows, texts
+from experiments.reporting.card import ALL, card_figure, part, rows, texts
 from experiments.reporting.page import render
 from experiments.study.compute.entrants import Entrant, Place, entrants
 from experiments.study.compute.frozen_test import levels_of, resolved, scenarios_of, take
@@ -171,7 +172,9 @@ def page(card: Card, others: Mapping[str, Card]) -> str:
         if len(cards) > 1
     }
     more = [task for task in card["set"] if task not in SETTINGS]
-    return render({"card": card, "full": SIZE, "own": own, "beside": beside, "more": more}, "card.html.j2")
+    figure = card_figure(cards, card["set"], name) if beside else None
+    shown = {"own": own, "beside": beside, "figure": figure and Markup(figure)}
+    return render({"card": card, "full": SIZE, "more": more, **shown}, "card.html.j2")
 
 
 def evaluate(options: Options, arguments: Sequence[str]) -> int:

@@ -47,6 +47,7 @@ TASKS = {
 VARIABLES |= {colour: task for task, colour in TASKS.items()}
 # The variables of a figure that stands alone, in a dark scheme.
 DARK = {"ink": "#e6e9ed", "muted": "#98a2b0", "grid": "#343b45", "paper": "#14171b"}
+DARK |= {"control": "#58b4e6", "treatment": "#f08a3c", "careful": "#2cc295"}
 DARK |= dict(zip(TASKS, ("#7fb0f0", "#ff8095", "#5fcf7a", "#d58ae0", "#e8b440", "#4fc6d2"), strict=True))
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,

@@ -118,8 +118,10 @@ def test_another_set_says_so_and_enters_no_table(short: Path, tmp_path: Path, mo
     second = taken("idle", tmp_path, entry="idle")
     assert second["changed"] == [] and evaluate.entries() == {"slow": first, "idle": second}
     row = '<th scope="row">slow</th>'
-    assert evaluate.page(second, {"slow": first}).count(row) == len(TRAFFICS)
-    assert row not in evaluate.page(second, {"slow": {**first, "set": {"u-turn": "another"}}})
+    beside = evaluate.page(second, {"slow": first})
+    assert beside.count(row) == len(TRAFFICS) and ">slow</text>" in beside
+    apart = evaluate.page(second, {"slow": {**first, "set": {"u-turn": "another"}}})
+    assert row not in apart and ">slow</text>" not in apart
 
 
 def test_who_drives_where() -> None:

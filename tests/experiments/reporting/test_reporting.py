@@ -16,6 +16,7 @@ from scipy import stats
 
 from experiments.analysis.by_task import COLUMNS
 from experiments.reporting import by_task, figures, page, tables
+from experiments.reporting.card import ALL, card_figure
 from experiments.study.design.traffic import TRAFFICS
 
 
@@ -304,6 +305,35 @@ def test_the_report_shows_the_lightest_settings_that_have_both_arms() -> None:
     ]
     found = page.lightest(pd.DataFrame(rows, columns=["task", "level", "driver"]))
     assert found["driver"].tolist() == ["control", "treatment"]
+
+
+def test_the_figure_of_a_card_leads_from_regular_to_risky_traffic() -> None:
+    """Of each driver of the same scenarios that has driven both; of one's own with intervals."""
+
+    def card(scenarios: str, crashed: float, *traffics: str) -> dict[str, Any]:
+        ends = {"regular": [crashed, 0.0, 0.5], "risky": [crashed + 0.25, 0.2, 0.9]}
+        rows = [
+            {
+                "task": "u-turn",
+                "level": level,
+                "traffic": name,
+                "crashed": ends[name],
+                "mean_speed": [12, 11, 13],
+            }
+            for name in traffics
+            for level in (ALL, "3")
+        ]
+        return {"set": {"u-turn": scenarios}, "rows": rows}
+
+    both, ours = ("regular", "risky"), {"u-turn": "ours"}
+    cards = {"mine": card("ours", 0.5, *both), "dqn": card("ours", 0.25, *both)}
+    cards |= {"half": card("ours", 0.1, "risky"), "old": card("others", 0.2, *both)}
+    calls = drawn("plot", lambda shown, _: card_figure(shown, ours, "mine") or "", cards)
+    drives = [[*call.args] for call in calls if "marker" in call.kwargs]
+    assert drives == [[[12, 12], [0.5, 0.75]], [[12, 12], [0.25, 0.5]]]
+    [bars] = [call.args for call in calls if "marker" not in call.kwargs]
+    assert bars == ([11, 13, 12, 12, 12], [0.75, 0.75, 0.75, 0.2, 0.9])
+    assert card_figure({"half": cards["half"]}, ours) is None
 
 
 def test_a_figure_that_stands_alone_has_every_colour_in_both_schemes() -> None:

@@ -85,7 +85,8 @@ def driven(batches: Sequence[Batch], executor: str, workers: int | None, kind: s
     sizes = {batch.name: 1.0 for batch in batches}
     with closing(ProgressDisplay(directory / "work", sizes, there, kind)) as progress:
         if left := [batch for batch in batches if batch.name not in there]:
-            failures = run(left, *open_executor(executor, workers, directory, TASKS_PER_PROCESS), progress)
+            opened = open_executor(executor, workers, directory, TASKS_PER_PROCESS, len(left))
+            failures = run(left, *opened, progress)
     if failures:
         name, reason = next(iter(failures.items()))
         raise UserError(f"{len(failures)} {kind} failed; {name}: {reason}. Run the command again to go on")

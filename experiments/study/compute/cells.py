@@ -50,5 +50,6 @@ def compute(
             if kinds == ("test",):
                 batch = [task for task in batch if store.weights(task.cell.parent.name)]
             if batch:
-                failures |= run(batch, *open_executor(executor, workers, directory, per_process), progress)
+                opened = open_executor(executor, workers, directory, per_process, len(batch))
+                failures |= run(batch, *opened, progress)
     return failures

@@ -81,7 +81,7 @@ def take(
     Returns:
         What `drive` returns of each group, and of those that could not be driven the reason.
     """
-    executor = LocalExecutor(cores())
+    executor = LocalExecutor(min(cores(), len(groups)))
     found, failed = dict[str, tuple[pd.DataFrame, str]](), dict[str, str]()
     try:
         futures = {

@@ -6,6 +6,7 @@ import ctypes
 import errno
 import os
 import signal
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -85,6 +86,7 @@ FAULTS = {
     "exit": lambda: os._exit(7),
     "hold": _hold_everything,
     "deadlock": _deadlock,
+    "leave": lambda: sys.exit(0),
     "fail": lambda: _raise(ValueError("it was told to fail")),
     "lose": lambda: _raise(OSError("the surroundings fail")),
     "refuse": lambda: _raise(UserError("put this right first")),

@@ -68,10 +68,10 @@ def test_ray_joins_the_cluster_of_its_address_or_none(tmp_path, ray, monkeypatch
     monkeypatch.setattr(ray, "init", init)
     monkeypatch.setenv("RAY_ADDRESS", "somewhere:6379")
     with pytest.raises(UserError, match="RAY_ADDRESS=somewhere:6379"):
-        open_executor("ray", 2, tmp_path, 25)
+        open_executor("ray", 2, tmp_path, 25, 3)
     monkeypatch.delenv("RAY_ADDRESS")
     with pytest.raises(ConnectionError):
-        open_executor("ray", 2, tmp_path, 25)
+        open_executor("ray", 2, tmp_path, 25, 3)
     assert asked == ["somewhere:6379", "local"]
 
 
@@ -81,7 +81,7 @@ def test_ray_computes_and_retries_on_a_cluster_of_its_own(tmp_path, ray):
         Sum("dies", tmp_path, fault="segfault", times=1),
         Sum("fails", tmp_path, fault="lose", times=1),
     ]
-    failures = run(tasks, *open_executor("ray", 2, tmp_path, 25), Witness())
+    failures = run(tasks, *open_executor("ray", 2, tmp_path, 25, 3), Witness())
     assert failures == {}
     assert results(tasks) == [TOTAL] * 3
     assert [len(task.tries()) for task in tasks] == [1, 2, 2]

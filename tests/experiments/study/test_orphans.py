@@ -19,7 +19,7 @@ from pathlib import Path
 if __name__ == "__main__":
     from experiments.study.compute.executors import open_executor
     from tests.experiments.study.misbehaving import FAULTS, Sum
-    executor, _ = open_executor("local", 2, Path(sys.argv[1]), 25)
+    executor, _ = open_executor("local", 2, Path(sys.argv[1]), 25, 2)
     tasks = [Sum(name, Path(sys.argv[1]), fault="hold", times=1) for name in "ab"]
     for task in tasks:
         task.folder.mkdir(parents=True)
@@ -54,7 +54,7 @@ from tests.experiments.study.misbehaving import Sum
 def main():
     folder = Path(sys.argv[1])
     tasks = [Sum(name, folder, pause=600.0, silence=900.0) for name in "ab"]
-    return bool(run(tasks, *open_executor("local", 2, folder, 25)))
+    return bool(run(tasks, *open_executor("local", 2, folder, 25, len(tasks))))
 if __name__ == "__main__":
     run_command(main, resumes=True)
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import re
 import signal
@@ -40,7 +41,7 @@ def compute(
     tasks: list[Sum], workers: int = 2, tasks_per_process: int = 25
 ) -> tuple[dict[str, str], Witness]:
     witness = Witness()
-    executor, limit = open_executor("local", workers, tasks[0].directory, tasks_per_process)
+    executor, limit = open_executor("local", workers, tasks[0].directory, tasks_per_process, len(tasks))
     return run(tasks, executor, limit, witness), witness
 
 
@@ -91,8 +92,15 @@ def test_what_goes_wrong_is_begun_again_in_another_process(tmp_path, fault, reas
     assert len(tasks[1].tries()) == 1  # its process died alone
 
 
+def test_no_more_processes_are_started_than_there_are_tasks(tmp_path):
+    executor, limit = open_executor("local", 12, tmp_path, 25, 1)
+    executor.submit(int).result()
+    assert limit == 1 and len(multiprocessing.active_children()) == 1
+    executor.shutdown()
+
+
 def test_a_process_that_is_killed_between_two_tasks_is_replaced(tmp_path):
-    executor, _ = open_executor("local", 1, tmp_path, 25)
+    executor, _ = open_executor("local", 1, tmp_path, 25, 1)
     first = executor.submit(os.getpid).result()
     os.kill(first, signal.SIGKILL)
     wait_for(lambda: not is_alive(first))
@@ -108,7 +116,12 @@ def test_a_process_that_is_killed_between_two_tasks_is_replaced(tmp_path):
 
 @pytest.mark.parametrize(
     ("fault", "tries", "word"),
-    [("segfault", 4, "Segmentation fault"), ("fail", 1, "Traceback"), ("refuse", 1, "put this right")],
+    [
+        ("segfault", 4, "Segmentation fault"),
+        ("fail", 1, "Traceback"),
+        ("leave", 1, "SystemExit: 0"),
+        ("refuse", 1, "put this right"),
+    ],
 )
 def test_what_always_goes_wrong_is_given_up_and_the_others_are_computed(tmp_path, fault, tries, word):
     """An error of the task itself would be the same in each try: there is one."""
@@ -150,7 +163,7 @@ def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path)
                 self.order.append("released")
                 held.__exit__(None, None, None)
 
-    assert run([task], *open_executor("local", 1, tmp_path, 25), Release()) == {}
+    assert run([task], *open_executor("local", 1, tmp_path, 25, 1), Release()) == {}
     assert results([task]) == [TOTAL]
     assert len(task.tries()) == 1
 

@@ -18,7 +18,7 @@ def cores() -> int:
 
 
 def open_executor(
-    name: str, workers: int | None, directory: Path, tasks_per_process: int
+    name: str, workers: int | None, directory: Path, tasks_per_process: int, tasks: int
 ) -> tuple[Executor, int]:
     """An executor by name, and how many tasks it should be given at a time.
 
@@ -26,6 +26,7 @@ def open_executor(
         workers: that number; by default the cores of the machine or of the cluster.
         directory: for what the executor itself writes.
         tasks_per_process: then a fresh process takes over, so that whatever a simulator leaks is given back.
+        tasks: how many there are; this machine starts no more processes.
 
     Raises:
         UserError: its package is not installed, or it cannot be reached.
@@ -46,4 +47,5 @@ def open_executor(
         ) from None
     from experiments.study.compute.executors.local import LocalExecutor
 
-    return LocalExecutor(workers or cores(), tasks_per_process), workers or cores()
+    number = min(workers or cores(), tasks)
+    return LocalExecutor(number, tasks_per_process), number

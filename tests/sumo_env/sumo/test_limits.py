@@ -30,7 +30,8 @@ HZ = 10  # of policy steps too, so that every sub-step is looked at
 ENOUGH = pytest.param(range(2, 40), marks=pytest.mark.long)
 OFTEN = {"risk_rates": {"cut_in": 0.2, "brake": 0.2, "surge": 0.1}}
 TAKES = 0.8  # [s] that a lane change takes
-ROUNDING = 1e-3  # [m/s2, m]
+ROUNDING, RESIDUE = 1e-3, 0.01  # [m/s2]; [m] with which SUMO may end a lane change
+LATER = 5.0  # [s]
 
 
 class Seen(NamedTuple):
@@ -77,6 +78,13 @@ def least_ttc(scene: Scene) -> float:
     )
 
 
+def leads_on(name: str, lane: str) -> bool:
+    """Whether a vehicle's route goes on from a lane."""
+    return lane.startswith(":") or any(
+        way[0] == lane and way[4] for way in libsumo.vehicle.getBestLanes(name)
+    )
+
+
 class Watch:
     """Drives episodes of random actions, and looks for what no vehicle can have done.
 
@@ -90,6 +98,7 @@ class Watch:
         self.takes, self.egos_have_limits = takes, egos_have_limits
         self.faults: list[str] = []
         self.excess = np.zeros(2)
+        self._surged: dict[str, float] = {}  # vehicle -> when it has surged last [s]
 
     def drive(self, env: Any) -> None:
         """One episode, which has begun."""
@@ -104,13 +113,20 @@ class Watch:
             acting = {env.ego_id, *env._car.episode.simulator._events._changes}
             for name in before.keys() & after.keys():
                 where = f"{env.scene.time} s, {name}: {before[name]} {after[name]}"
-                self._lengthwise(name, before[name], after[name], env.ego_id, where)
+                self._lengthwise(name, before[name], after[name], env.ego_id, where, env.scene.time)
                 self._sideways(before[name], after[name], name in acting, where)
             before = after
+        self._surged.clear()
 
-    def _lengthwise(self, name: str, one: Seen, other: Seen, ego: str, where: str) -> None:
+    def _lengthwise(self, name: str, one: Seen, other: Seen, ego: str, where: str, time: float) -> None:
         of, accel = libsumo.vehicle, (other.speed - one.speed) * HZ
         beyond = -accel - max(of.getEmergencyDecel(name), of.getDecel(name)), accel - of.getAccel(name)
+        if other.event is not None and other.event.kind == "surge":
+            self._surged[name] = time
+        # SUMO stops at once who is late for a light that has turned red, but none that a surge has brought there, and
+        # who is at the end of a lane that its route cannot follow, also after a surge
+        is_late = time > self._surged.get(name, -inf) + LATER
+        stops = other.speed == 0.0 and (is_late or not leads_on(name, one.lane))
         if other.event is not None:
             events = -accel + other.event.accel, accel - other.event.accel
             if np.minimum(beyond, events).max() > ROUNDING:
@@ -118,12 +134,14 @@ class Watch:
         elif name == ego:
             if self.egos_have_limits and max(beyond) > ROUNDING:
                 self.faults.append(f"{where} {accel} m/s2")
-        elif not of.getTypeID(name).startswith("eidm"):  # SUMO's EIDM may stop at once after a command
+        elif not stops and not of.getTypeID(name).startswith(
+            "eidm"
+        ):  # SUMO's EIDM may stop at once after a command
             self.excess = np.maximum(self.excess, beyond)
 
     def _sideways(self, one: Seen, other: Seen, is_commanded: bool, where: str) -> None:
         moved = aside(one, other)
-        if self.takes and moved > libsumo.lane.getWidth(other.lane) / self.takes / HZ + ROUNDING:
+        if self.takes and moved > libsumo.lane.getWidth(other.lane) / self.takes / HZ + RESIDUE:
             self.faults.append(f"{where} {moved} m sideways")
         begins = abs(one.lateral) < ROUNDING < moved and edge_of(one.lane) == edge_of(other.lane)
         if begins and is_commanded and one.speed < MOVING:

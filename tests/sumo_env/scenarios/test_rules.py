@@ -234,17 +234,6 @@ def test_a_red_light_that_turns_green_as_the_ego_passes_is_not_run(tmp_path: Pat
 # -- arrival -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("place", "length"), [("100", 100.0), ("-20", 480.0), ("max", 500.0)])
-def test_a_vehicle_of_the_files_arrives_where_they_say(tmp_path: Path, place: str, length: float) -> None:
-    net = build(tmp_path, ("a 0 0, b 500 0", "ab a b 1 20"))
-    routes = f'<vehicle id="ego" depart="0" departPos="0" arrivalPos="{place}"><route edges="ab"/></vehicle>'
-    env = SumoDrivingEnv(net, route_file(tmp_path, routes), ego_vehicle="ego", config={"duration": 60})
-    infos = [info for *_, info in drive(env, FASTER, seed=0)]
-    assert infos[-1]["ending"] == "arrived"
-    assert sum(info["distance"] for info in infos) == pytest.approx(length, abs=0.2)
-    env.close()
-
-
 def test_who_stands_until_sumo_takes_it_off_the_last_edge_has_not_arrived(tmp_path: Path) -> None:
     net = build(tmp_path, ("a 0 0, b 3000 0", "ab a b 1 20"))
     stops = {"type": "DiscreteMetaAction", "target_speeds": [0.0, 5.0, 20.0]}

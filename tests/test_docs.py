@@ -153,6 +153,21 @@ def is_about(said: str, lines: int) -> bool:
     return abs(lines - int(said.replace(",", ""))) <= max(25, 0.15 * lines)
 
 
+def test_the_risk_of_every_task_is_on_its_page() -> None:
+    said = table(section(page("traffic-and-risk.md"), "Risk"))
+    rows = {task: row for tasks, row in said.items() for task in tasks.split(", ")}
+
+    def every(rate: float, *how: float) -> str:
+        words = " ({:g} m/s² for {:g} s)".format(*how) if how else ""
+        return f"{1 / rate:.0f} s{words}" if rate else "-"
+
+    for name, task in TASKS.items():
+        rates = task.risk_rates
+        brakes = every(rates.brake, rates.brake_decel, rates.brake_duration)
+        surges = every(rates.surge, rates.surge_accel, rates.surge_duration)
+        assert rows[name] == [every(rates.cut_in), brakes, surges], name
+
+
 def test_the_ledger_has_every_module_and_every_folder_of_tests_with_about_their_lines() -> None:
     features, folders = (
         table(section(page("developers/ledger.md"), name)) for name in ("By feature", "Tests")

@@ -119,6 +119,7 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (swept(settings=("device=toaster",)), "device toaster"),
     (swept(executor="slurm"), "--executor slurm is for machines"),
     (partial(evaluate_card, "slower", tasks=("uturn",)), "did you mean 'u-turn'"),
+    (partial(evaluate_card, "slower", tasks=("mine.py:Mine",)), "is added to a clone"),
     (partial(evaluate_card, "treatment", tasks=("merge",)), "cannot drive merge"),
     (partial(evaluate_card, "slower", tasks=("u-turn",), out=Path("mine.py")), "mine.py"),
     (partial(evaluate_card, "."), "has weights:"),

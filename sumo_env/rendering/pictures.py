@@ -8,16 +8,18 @@ meta-action, and below a red or yellow light ahead, a near miss and a crash. The
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 from sumo_env.networks.roads import Road
-from sumo_env.rendering.notes import CRASH, EVENT, LIGHTS, NEAR_MISS, Notes
+from sumo_env.rendering.labels import Box, beside
+from sumo_env.rendering.notes import CRASH, EVENT, LIGHTS, NEAR_MISS, Mark, Notes
 from sumo_env.rendering.scenery import FILM, Camera, scenery
 from sumo_env.scene import Scene
 
@@ -45,7 +47,7 @@ def draw(scene: Scene, road: Road, view: Mapping[str, Any], notes: Notes | None 
     notes = notes or Notes()
     camera = Camera.of(scene, view, SUPERSAMPLING)
     canvas = scenery(scene, road, camera, FILM)
-    pen, labels = ImageDraw.Draw(canvas), []
+    pen = ImageDraw.Draw(canvas)
     radius: dict[str, float] = {}  # of the last ring around a vehicle [m]
     for mark in notes.marks:
         radius[mark.name] = radius.get(mark.name, RING - 1.0) + 1.0
@@ -53,25 +55,71 @@ def draw(scene: Scene, road: Road, view: Mapping[str, Any], notes: Notes | None 
         x, y = camera.place(scene.x.item(row), scene.y.item(row)).tolist()
         box = round(x - reach), round(y - reach), round(x + reach), round(y + reach)
         pen.ellipse(box, outline=COLOURS[mark.kind], width=max(round(camera.scale * 0.4), 2))
-        labels.append((x, y - reach, radius[mark.name] - RING, mark))
     picture = canvas.reduce(SUPERSAMPLING)
-    pen = ImageDraw.Draw(picture, "RGBA")
-    size = 9 if picture.height < 100 else min(12 + picture.height // 50, 20)
-    font = _font(size)
-    for x, y, below, mark in labels:  # above those of the same vehicle
-        place = x / SUPERSAMPLING, y / SUPERSAMPLING - size * below
-        pen.text(place, mark.text, COLOURS[mark.kind], font, "mb", stroke_width=2, stroke_fill=FILM.outline)
-    top, background = 5.0, (*FILM.outline, 235)
-    for kind, text in notes.lines:
-        _, _, right, bottom = pen.textbbox((8, top), text, font=font)
-        pen.rectangle((0, top - 5, right + 8, bottom + 5), fill=background)
-        pen.text((8, top), text, fill=COLOURS[kind], font=font)
-        top = bottom + 10
+    font = _font(9 if picture.height < 100 else min(12 + picture.height // 50, 20))
+    corner = _write_lines(picture, notes.lines, font)
+    _write_beside_cars(picture, scene, Camera.of(scene, view), notes.marks, font, radius, corner)
     shown = np.array(picture)
     if notes.share is not None:
-        bar = shown[-max(picture.height // 60, 3) :]
+        bar = shown[-_bar(picture) :]
         bar[:], bar[:, : round(picture.width * notes.share)] = FILM.outline, FILM.line
     return shown
+
+
+def _write_lines(picture: Image.Image, lines: Iterable[tuple[str, str]], font: Any) -> list[Box]:
+    """Write kinds and texts into the upper left corner; returns what they cover."""
+    pen, top, covered = ImageDraw.Draw(picture, "RGBA"), 5.0, []
+    for kind, text in lines:
+        _, _, right, bottom = pen.textbbox((8, top), text, font=font)
+        covered.append(Box(0.0, top - 5, right + 8, bottom + 5))
+        pen.rectangle(covered[-1], fill=(*FILM.outline, 235))
+        pen.text((8, top), text, fill=COLOURS[kind], font=font)
+        top = bottom + 10
+    return covered
+
+
+def _write_beside_cars(
+    picture: Image.Image,
+    scene: Scene,
+    camera: Camera,
+    marks: Iterable[Mark],
+    font: Any,
+    radius: Mapping[str, float],
+    words: list[Box],
+) -> None:
+    """Write the words of marks beside their cars, where those are in the picture.
+
+    Args:
+        radius: of the largest ring around a vehicle [m].
+        words: what is written already; the new ones are added.
+    """
+    pen, whole = ImageDraw.Draw(picture), Box(0.0, 0.0, picture.width, picture.height - _bar(picture))
+    cars = [_extent(scene, row, camera) for row in range(len(scene))]
+    for mark in marks:
+        car = cars[scene.ids.index(mark.name)]
+        centre = (car.left + car.right) / 2, (car.top + car.bottom) / 2
+        if not mark.text or not whole.holds(*centre):
+            continue
+        left, top, right, bottom = font.getbbox(mark.text, stroke_width=2)
+        reach, size = radius[mark.name] * camera.scale, (right - left, bottom - top)
+        words.append(beside(centre, reach, size, whole, words, cars))
+        corner = words[-1].left - left, words[-1].top - top
+        pen.text(corner, mark.text, COLOURS[mark.kind], font, stroke_width=2, stroke_fill=FILM.outline)
+
+
+def _extent(scene: Scene, row: int, camera: Camera) -> Box:
+    """The upright box [px] around a vehicle."""
+    length, width = scene.size(scene.ids[row])
+    x, y = camera.place(scene.x.item(row), scene.y.item(row)).tolist()
+    cos, sin = abs(math.cos(scene.heading.item(row))), abs(math.sin(scene.heading.item(row)))
+    return Box.around(
+        x, y, (cos * length + sin * width) * camera.scale, (sin * length + cos * width) * camera.scale
+    )
+
+
+def _bar(picture: Image.Image) -> int:
+    """Height of the bar of the time [px]."""
+    return max(picture.height // 60, 3)
 
 
 @cache

@@ -14,6 +14,7 @@ from sumo_env.traffic.scenario import Scenario
 
 EVENT, CRASH, NEAR_MISS = "event", "crash", "near miss"  # kinds of marks and lines, beside those of lights
 LIGHTS = {RED: "red light", YELLOW: "yellow light"}
+STEP = 0.1  # [s] events act in whole simulation steps, so a little earlier or longer than planned
 SEEN_LIGHT = 60.0  # [m] to a light that is told of
 
 
@@ -64,10 +65,12 @@ def notes(scene: Scene, scenario: Scenario, met: EgoStep | None, action: str, du
 
 
 def _events(scene: Scene, scenario: Scenario) -> Iterator[Mark]:
-    begun = [event for event in scenario.events if event.time <= scene.time]
+    begun = [event for event in scenario.events if event.time < scene.time + STEP]
     kinds: dict[str, str] = {event.vehicle: "cut-in" for event in begun if event.kind == "cut-in"}
     # a vehicle that brakes or surges may cut in as well
-    kinds |= {event.vehicle: str(event.kind) for event in begun if scene.time < event.time + event.duration}
+    kinds |= {
+        event.vehicle: str(event.kind) for event in begun if scene.time < event.time + event.duration + STEP
+    }
     for name in scene.ids:
         if name in scene.in_event:
             yield Mark(EVENT, name, kinds.get(name, ""))

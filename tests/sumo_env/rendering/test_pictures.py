@@ -155,6 +155,7 @@ def test_notes_say_what_info_says(make: Any, monkeypatch: pytest.MonkeyPatch) ->
         for *_, info in drive(env, 1, seed=seed):
             env.render()
             kinds = [kind for kind, _ in drawn[-1].lines]
+            assert all(mark.text for mark in drawn[-1].marks if mark.kind == EVENT)
             assert ("near miss" in kinds) == info["near_miss"] and (CRASH in kinds) == info["crashed"]
             found |= {*kinds}
             if info["crashed"]:

@@ -184,7 +184,7 @@ def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
             f"as stored: contact after {contact:.1f} s": driven[begin:],
             f"avoided from {time:g} s on: {words}": driven[begin:step] + free,
         }
-        films = [(title, _filmed(copies[begin], actions)) for title, actions in drives.items()]
+        films = [(title, filmed(copies[begin], actions)) for title, actions in drives.items()]
     width, height = films[0][1][0].size
     path = options.out or case.store.directory / f"{case.name}-avoided.gif"
     save_gif(side_by_side(films, columns=1 if width > height else 2), path)
@@ -192,7 +192,7 @@ def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     return 0
 
 
-def _filmed(env: gym.Env[Any, Any], actions: Iterable[int]) -> Pictures:
+def filmed(env: gym.Env[Any, Any], actions: Iterable[int]) -> Pictures:
     """What these actions do in a copy of an environment."""
     with closing(copy.deepcopy(env)) as twin:
         film = Film(twin)

@@ -116,6 +116,14 @@ def test_a_snippet_runs_when_it_is_copied_alone(block: str, tmp_path: Path) -> N
     python_again("-c", "import snippet", cwd=tmp_path)
 
 
+@pytest.mark.parametrize(("risk", "ending"), [("1.0", "crash"), ("0.0", "time")])
+def test_the_readmes_drive_shows_what_risk_does(risk: str, ending: str, tmp_path: Path) -> None:
+    script, *_ = re.findall(r"```python\n(.*?)```", section(TEXTS[ROOT / "README.md"], "Drive"), re.DOTALL)
+    (tmp_path / "drive.py").write_text(script.replace('"risk": 1.0', f'"risk": {risk}'), encoding="utf-8")
+    assert python_again("-c", "import drive", cwd=tmp_path).split() == [ending]
+    assert (tmp_path / "drive.gif").is_file()
+
+
 def test_the_steps_for_a_task_are_the_files_that_name_the_last_one() -> None:
     """Of those that highway-env has, as others take the first part of the steps alone; beside tests."""
     last = OF_HIGHWAY_ENV[-1]

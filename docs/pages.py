@@ -35,6 +35,7 @@ from experiments.analysis.plan import STUDY
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL, card_figure
 from experiments.reporting.figures import BESIDE, alone, crashes_against_danger, crashes_against_speed
+from experiments.reporting.road_units import doses_figure
 from experiments.reporting.tables import chosen, effect, interval, plain, points
 from experiments.study.compute.takeover import PAIR
 from experiments.study.design.arms import ARMS
@@ -62,13 +63,6 @@ def validation(task: str | None = None) -> dict[str, int]:
     passed = sums["equivalent"] + sums["within"]
     orders = 4 * sum(task in (None, own) for own, _ in STUDY.settings)
     return {"all": passed + sums["missed"], "passed": passed, "orders": orders, **sums}
-
-
-def road_units(task: str, unit: str, digits: int) -> str:
-    """Three cells of a table: a unit of the road at dose 0, at dose 1 and among measured drivers."""
-    table = pd.read_parquet(ROOT / "results" / "road-units.parquet")
-    values = chosen(table, task=task).set_index("traffic")[unit]
-    return " | ".join(plain(values[traffic], digits) for traffic in ("0", "1", "measured"))
 
 
 def entries() -> str:
@@ -149,6 +143,11 @@ def taken_over(traffic: str) -> list[dict[str, Any]]:
     return found
 
 
+def road_units_figure() -> str:
+    """Doses of risk beside measured drivers."""
+    return alone(doses_figure(pd.read_parquet(ROOT / "results" / "road-units.parquet")))
+
+
 def entries_figure() -> str:
     """Crashes against speed of the frozen test's entries."""
     cards = evaluate.entries()
@@ -208,7 +207,7 @@ def arrow(row: dict[str, Any], bold: bool = False) -> str:
 
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(by_task.difference, entries, events_per_hour, failing, other_learners, readme_agents, road_units, row),
+    *(by_task.difference, entries, events_per_hour, failing, other_learners, readme_agents, row),
     *(share, study, survivors, taken_over, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
@@ -217,6 +216,7 @@ FIGURES = {
     IMAGES / "study.svg": speed_figure,
     IMAGES / "takeover.svg": danger_figure,
     IMAGES / "entries.svg": entries_figure,
+    IMAGES / "road-units.svg": road_units_figure,
 }
 
 

@@ -12,14 +12,17 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 from statistics import median
 from typing import Any
+from unittest.mock import patch
 
 import gymnasium as gym
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.axes import Axes
 
 import sumo_env
 from docs import pages, settings
 from docs.pages import filled, page_of, templates
+from experiments.reporting.road_units import MEASURED
 from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import TRAFFICS
@@ -241,8 +244,17 @@ def test_doses_in_units_of_the_road_are_those_of_the_table() -> None:
     stored = pq.read_table(ROOT / "results" / "road-units.parquet").to_pylist()
     highway = [line for line in stored if line["task"] == "highway"]
     assert [line["traffic"] for line in highway] == ["0", "0.25", "0.5", "0.75", "1", "measured"]
-    shown = map(float, pages.road_units("highway", "lane_changes", 2).split(" | "))
-    assert list(shown) == pytest.approx([highway[k]["lane_changes"] for k in (0, 4, 5)], abs=0.0051)
+    with patch.object(Axes, "plot") as calls:
+        pages.road_units_figure()
+    drawn = [[*map(list, call.args)] for call in calls.call_args_list]
+    for unit in ("braking_4.4", "cut_ins", "headway"):
+        *doses, measured = (line[unit] for line in highway)
+        assert [[0.0, 0.25, 0.5, 0.75, 1.0], doses] in drawn
+        assert (
+            unit == "cut_ins" or [[MEASURED], [measured]] in drawn
+        )  # these drivers never force their way in
+    kinds = sum(any(line["cut_ins"] for line in stored if line["task"] == task) for task in GRID)
+    assert len(drawn) == 2 * 2 * len(GRID) + kinds + 1  # and the rate of roads
 
 
 def test_settings_that_learn_are_those_of_readme_s_script() -> None:

@@ -25,12 +25,13 @@ SHOWN = {  # column, how it is drawn, and the claim with which it is
 PALETTE = (CONTROL, TREATMENT, CAREFUL, "#cc79a7", INK)  # of policies, in their order
 # Of the 100-Car study: 2,000,000 vehicle miles in 43,000 hours (Neale et al. 2005).
 MILES_PER_HOUR = 2.0e6 / 43_000
+LANE_CHANGES = "lane changes ahead of others on roads"
 ROADS = {  # events per vehicle and hour of driving, and their mark (docs/traffic-and-risk.md)
     # SHRP 2, drivers of 35 to 54 years: 37.3 in a million miles (Traffic Inj. Prev. 19 S1, 2018, S89 [abstract])
     "near-crashes on roads": (37.3e-6 * MILES_PER_HOUR, "^"),
     # highD: 110,500 vehicles, 13.6 s of each in view (Krajewski et al. 2018); 3,787 lane changes ahead of a vehicle, of
     # which cut-ins are a part ("Why studying cut-ins? Comparing cut-ins and other lane changes" [a summary])
-    "lane changes ahead of others on roads": (3_787 / (110_500 * 13.6 / 3600), "s"),
+    LANE_CHANGES: (3_787 / (110_500 * 13.6 / 3600), "s"),
 }
 
 

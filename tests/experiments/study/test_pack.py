@@ -96,6 +96,15 @@ def test_a_damaged_part_is_named(results: Path) -> None:
         load(results)
 
 
+def test_what_lies_beside_packed_cells_is_compared_with_its_checksum(results: Path) -> None:
+    Store(results).pack()
+    name = next(iter(Store(results).agents()))
+    for read, path in ((Store.weights, f"weights/{name}.npz"), (Store.training, f"training/{name}.parquet")):
+        damage(results / path, "changed")
+        with pytest.raises(UserError, match="checksum does not match"):
+            read(Store(results), name)
+
+
 OPERATIONS = ("open", "os.rename", "os.remove", "os.mkdir")
 
 

@@ -35,6 +35,7 @@ from experiments.analysis.plan import STUDY
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL, card_figure
 from experiments.reporting.figures import BESIDE, alone, crashes_against_danger, crashes_against_speed
+from experiments.reporting.rare import rare_figure
 from experiments.reporting.road_units import doses_figure
 from experiments.reporting.tables import chosen, effect, interval, plain, points
 from experiments.study.compute.takeover import PAIR
@@ -148,6 +149,12 @@ def road_units_figure() -> str:
     return alone(doses_figure(pd.read_parquet(ROOT / "results" / "road-units.parquet")))
 
 
+def rare_curves() -> str:
+    """Crashes of two rules against the rate of risk events, as `experiments/rare.py` stored them."""
+    curves = pd.read_csv(ROOT / "results" / "rare.csv").groupby("policy")
+    return alone(rare_figure({str(policy): curve for policy, curve in curves}, "u-turn, 3 other vehicles"))
+
+
 def entries_figure() -> str:
     """Crashes against speed of the frozen test's entries."""
     cards = evaluate.entries()
@@ -217,6 +224,7 @@ FIGURES = {
     IMAGES / "takeover.svg": danger_figure,
     IMAGES / "entries.svg": entries_figure,
     IMAGES / "road-units.svg": road_units_figure,
+    IMAGES / "rare.svg": rare_curves,
 }
 
 

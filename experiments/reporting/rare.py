@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
+import matplotlib
 import pandas as pd
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from experiments.reporting.figures import (
     CAREFUL,
     CONTROL,
     INK,
+    LARGER,
     MUTED,
     TREATMENT,
-    new_figure,
     styled,
     to_svg,
 )
@@ -36,6 +39,7 @@ ROADS = {  # events per vehicle and hour of driving, and their mark (docs/traffi
 
 
 @styled
+@matplotlib.rc_context(LARGER)  # so that it can be read on a telephone
 def rare_figure(curves: Mapping[str, pd.DataFrame], title: str) -> str:
     """Crashes per episode of each policy against the rate of events, on logarithmic axes, with ROADS as marks on one.
 
@@ -44,7 +48,8 @@ def rare_figure(curves: Mapping[str, pd.DataFrame], title: str) -> str:
 
     curves: of `analysis.rare.curve` with events_per_hour, by policy.
     """
-    figure, [[axes]] = new_figure(1, 1, 4.2)
+    figure = Figure(figsize=(6.5, 5.6), layout="constrained")
+    axes = figure.subplots()
     handles = []
     for number, (policy, curve) in enumerate(curves.items()):
         colour = PALETTE[number % len(PALETTE)]
@@ -65,10 +70,10 @@ def rare_figure(curves: Mapping[str, pd.DataFrame], title: str) -> str:
         Line2D([], [], color=MUTED, ls="", marker="v", label="limit, nothing claimed"),
     ]
     for label, (rate, mark) in ROADS.items():
-        on_axis = {"transform": axes.get_xaxis_transform(), "clip_on": False}
+        on_axis: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "clip_on": False}
         axes.plot([rate], [0.0], color=INK, marker=mark, ls="", **on_axis)
         handles.append(Line2D([], [], color=INK, marker=mark, ls="", label=label))
     axes.set(xscale="log", yscale="log", title=title, ylabel="crashes per episode")
     axes.set_xlabel("risk events per vehicle and hour")
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return to_svg(figure, "rare", f"Crashes per episode against the rate of risk events: {title}.")

@@ -22,7 +22,7 @@ from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
-from experiments.analysis.scores import arms_of, at_home, in_order, with_outcomes
+from experiments.analysis.scores import arms_of, at_home, in_order, undrivable, with_outcomes
 from experiments.study.design.arms import ARMS, EXTRA_ARMS
 from experiments.study.design.cell import LEARNER
 from experiments.study.results.loaded import SETTING, Results
@@ -45,9 +45,9 @@ class Analysis:
 
     effects, means: of all comparisons (arm, against) on the simulator of the training. plan, plan_hash: see
     `plan.as_data`. notes: missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their
-    reasons, and stage, the last one of the plan that is complete. primary: see `claims.primary`. learner (see
-    `gates.learner_checks`): empty where the plan does not ask for it. frontier: see `frontier.to_frontier`. by_task:
-    see `by_task.by_task`. drivers: see `drivers.drivers`.
+    reasons; stage, the last one of the plan that is complete; and `scores.undrivable`. primary: see `claims.primary`.
+    learner (see `gates.learner_checks`): empty where the plan does not ask for it. frontier: see
+    `frontier.to_frontier`. by_task: see `by_task.by_task`. drivers: see `drivers.drivers`.
     """
 
     effects: pd.DataFrame
@@ -124,6 +124,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
             "unfinished": early,
             "incomplete": incomplete(chosen),
             "stage": stage,
+            "undrivable": undrivable(known),
         },
         provenance=provenance(known),
         primary=primary(mean[0], counted),

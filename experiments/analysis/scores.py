@@ -66,6 +66,17 @@ def _is_marked(key: Mapping[str, Any]) -> bool:
     return backend == "sumo" and config == env_config(backend, key["task"], key["level"])
 
 
+def undrivable(results: Results) -> list[str]:
+    """The settings, with nothing else configured, that cannot be driven (`design.attainable`): "two-way 15+6"."""
+    keys = [cell["key"] for cell in results.cells.values()]
+    there = {
+        f"{key['task']} {key['level_name']}"
+        for key in keys
+        if key["env_config"] == env_config(key["backend"], key["task"], key["level"])
+    }
+    return [setting for setting in attainable.undrivable(attainable.stored()) if setting in there]
+
+
 def crashes_per_100_km(episodes: pd.DataFrame, by: Sequence[str]) -> pd.Series:
     """`per_metre` of the crashes, in its usual unit."""
     return per_metre(episodes, "crashed", by) * 1e5

@@ -131,6 +131,7 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         ],
         "failing": by_task.failing(own),
         "hopeless": by_task.hopeless(analysis, name),
+        "undrivable": analysis.notes["undrivable"],
         "missing": missing(single, plan),
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
         **sides(single),

@@ -90,7 +90,9 @@ def analysis(directory) -> Iterator[Analysis]:
     drivers = {"IDLE": {"kind": "constant", "return": 1.0}, "planner": {"kind": "policy", "return": 9.0}}
     with pytest.MonkeyPatch.context() as patch:
         places = [f"intersection 10 {traffic}" for traffic in ("regular", "risky")]
-        patch.setattr(attainable, "stored", lambda: {place: {"drivers": drivers} for place in places})
+        known: dict[str, Any] = {place: {"drivers": drivers} for place in places}
+        known |= {f"{name} regular": {"search": {"no_safe": 0.9}} for name in ("u-turn 6", "u-turn 12")}
+        patch.setattr(attainable, "stored", lambda: known)
         yield reported(directory)[0]
 
 
@@ -103,10 +105,11 @@ class TestReport:
         text = Page((directory / "appendix.html").read_text()).text
         assert "told" in text and "dose50" in text
 
-    def test_scores_stand_beside_returns_and_are_explained(self, directory):
+    def test_scores_stand_beside_returns_and_what_cannot_be_driven_is_named(self, directory):
         for name in ("report.html", "report.md"):
             text = (directory / name).read_text()
             assert "score" in text and text.count("Score: 0 is the best constant action") == 1
+            assert "On u-turn 6 no sequence of actions" in text and "u-turn 12" not in text
         appendix = (directory / "appendix.html").read_text()
         assert "score, risky" in appendix and "score, regular" in appendix
 

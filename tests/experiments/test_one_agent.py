@@ -98,8 +98,14 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
 
 def test_of_several_agents_that_of_the_lowest_seed_is_published(monkeypatch, tmp_path: Path) -> None:
     """And in the lightest setting all."""
-    key, places = {"backend": "sumo", "task": "u-turn", "arm": "control"}, product(("3", "12"), (9, 10))
-    cells = {f"{name}-{k}": {"key": {**key, "level_name": name, "seed": k}} for name, k in places}
+    key, places = (
+        {"backend": "sumo", "task": "u-turn", "arm": "control"},
+        product(((1, "3"), (4, "12")), (9, 10)),
+    )
+    cells = {
+        f"{name}-{k}": {"key": {**key, "level": level, "level_name": name, "seed": k}}
+        for (level, name), k in places
+    }
     here: Any = SimpleNamespace(
         agents=lambda: cells, weights=str, sweeps=lambda: [{"command": "", "cells": cells}]
     )

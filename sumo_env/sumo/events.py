@@ -88,24 +88,29 @@ class Moment(NamedTuple):
     change_lane: Callable[..., bool]
 
 
-def stops_for_light(at: Moment) -> bool:
-    """Whether its vehicle has to brake now for the next traffic light: SUMO would stop it at the line at once."""
+def stops_ahead(at: Moment) -> bool:
+    """Whether its vehicle has to brake now for the next traffic light, or where its lane does not lead on.
+
+    There SUMO would stop it at once.
+    """
     name, of = at.vehicle.name, at.sumo
-    for _, _, distance, letter in of.getNextTLS(name)[:1]:
-        speed = of.getSpeed(name) + at.event.accel * at.dt
-        return letter in "rRuyY" and distance < speed * (speed / (2.0 * of.getDecel(name)) + REACTION)
-    return False
+    speed = of.getSpeed(name) + at.event.accel * at.dt
+    way = speed * (speed / (2.0 * of.getDecel(name)) + REACTION)
+    lane, place = of.getLaneID(name), of.getLanePosition(name)
+    ends = (end - place for own, end, _, _, leads, _ in of.getBestLanes(name) if own == lane and not leads)
+    lights = (distance for _, _, distance, letter in of.getNextTLS(name) if letter in "rRuyY")
+    return any(distance < way for distance in (*ends, *lights))
 
 
 class Push(EventKind):
     """Sudden braking, or a surge, which switches SUMO's car following off."""
 
     def pauses(self, at: Moment) -> bool:
-        """A surge pauses while somebody is near straight ahead, or a traffic light stops it; a brake never does."""
+        """A surge pauses where somebody is near straight ahead, or it has to stop; a brake never does."""
         if at.event.kind == "brake":
             return False
         states, name = at.near(at.event.way + HALF_CORRIDOR), at.vehicle.name
-        return not free_way(states[name], states.values(), at.event.way) or stops_for_light(at)
+        return not free_way(states[name], states.values(), at.event.way) or stops_ahead(at)
 
     def command(self, at: Moment) -> None:
         """Change the speed; who brakes does so as hard as the event, or as SUMO would have in the last step."""

@@ -78,13 +78,6 @@ def least_ttc(scene: Scene) -> float:
     )
 
 
-def leads_on(name: str, lane: str) -> bool:
-    """Whether a vehicle's route goes on from a lane."""
-    return lane.startswith(":") or any(
-        way[0] == lane and way[4] for way in libsumo.vehicle.getBestLanes(name)
-    )
-
-
 class Watch:
     """Drives episodes of random actions, and looks for what no vehicle can have done.
 
@@ -123,10 +116,9 @@ class Watch:
         beyond = -accel - max(of.getEmergencyDecel(name), of.getDecel(name)), accel - of.getAccel(name)
         if other.event is not None and other.event.kind == "surge":
             self._surged[name] = time
-        # SUMO stops at once who is late for a light that has turned red, but none that a surge has brought there, and
-        # who is at the end of a lane that its route cannot follow, also after a surge
-        is_late = time > self._surged.get(name, -inf) + LATER
-        stops = other.speed == 0.0 and (is_late or not leads_on(name, one.lane))
+        # SUMO stops at once who is late for a light that has turned red, or at the end of a lane that its route cannot
+        # follow, but none that a surge has brought there
+        stops = other.speed == 0.0 and time > self._surged.get(name, -inf) + LATER
         if other.event is not None:
             events = -accel + other.event.accel, accel - other.event.accel
             if np.minimum(beyond, events).max() > ROUNDING:

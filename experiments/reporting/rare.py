@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import cycle
 from typing import Any
 
 import matplotlib
@@ -12,11 +13,10 @@ from matplotlib.lines import Line2D
 
 from experiments.reporting.figures import (
     CAREFUL,
-    CONTROL,
+    COLOURS,
     INK,
     LARGER,
     MUTED,
-    TREATMENT,
     styled,
     to_svg,
 )
@@ -25,7 +25,7 @@ SHOWN = {  # column, how it is drawn, and the claim with which it is
     "crashes": ("crashes_per_episode", "-", "all"),
     "crashes with an event near the ego": ("by_events_per_episode", "--", "by events"),
 }
-PALETTE = (CONTROL, TREATMENT, CAREFUL, "#cc79a7", INK)  # of policies, in their order
+PALETTE = (CAREFUL, "#8a3a8f", "#a87400", INK)  # of policies that are not the first of an arm, in their order
 # Of the 100-Car study: 2,000,000 vehicle miles in 43,000 hours (Neale et al. 2005).
 MILES_PER_HOUR = 2.0e6 / 43_000
 LANE_CHANGES = "lane changes ahead of others on roads"
@@ -51,8 +51,9 @@ def rare_figure(curves: Mapping[str, pd.DataFrame], title: str) -> str:
     figure = Figure(figsize=(6.5, 5.6), layout="constrained")
     axes = figure.subplots()
     handles = []
-    for number, (policy, curve) in enumerate(curves.items()):
-        colour = PALETTE[number % len(PALETTE)]
+    arms, others = dict(COLOURS), cycle(PALETTE)
+    for policy, curve in curves.items():
+        colour = arms.pop(policy.rpartition("/")[2], None) or next(others)
         handles.append(Line2D([], [], color=colour, label=policy))
         for name, style, claim in SHOWN.values():
             rows = curve[curve["claim"] == claim]

@@ -7,11 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pandas as pd
 import pytest
+from matplotlib.axes import Axes
 
 from experiments import rare
+from experiments.reporting.figures import COLOURS
 from experiments.reporting.rare import ROADS, rare_figure
 from experiments.study.compute import batches
 from experiments.study.compute.rare import Batch
@@ -117,9 +120,15 @@ def test_a_simulator_that_has_changed_is_named_before_anything_is_driven(monkeyp
     assert not (tmp_path / "new").exists()
 
 
-def test_the_figure_has_a_curve_for_each_policy_and_rates_of_roads() -> None:
+def test_the_figure_has_a_curve_and_a_colour_for_each_policy_and_rates_of_roads() -> None:
     parts = ("crashes_per_episode", "by_events_per_episode", "without_per_episode")
     values = {f"{part}{end}": 0.1 for part in parts for end in ("", "_low", "_high")}
     curve = pd.DataFrame([{"events_per_hour": hours, "claim": "all", **values} for hours in (1.0, 10.0)])
     drawn = rare_figure({"mine": curve, "yours": curve.assign(claim="nothing")}, "u-turn 3")
     assert all(name in drawn for name in ("mine", "yours", "u-turn 3", *ROADS))
+    policies = ["careful", "u-turn-3/treatment", "u-turn-12/treatment", "control"]
+    with patch.object(Axes, "fill_between") as calls:
+        rare_figure(dict.fromkeys(policies, curve), "u-turn 3")
+    careful, *arms, control = (call.kwargs["color"] for call in calls.call_args_list[::2])
+    assert (arms[0], control) == (COLOURS["treatment"], COLOURS["control"])
+    assert len({careful, *arms, control}) == len(policies)

@@ -48,22 +48,38 @@ CELL = r"sumo-(?P<task>\D+)-(?P<level_name>[\d+]+)-(?P<arm>[a-z-]+?)(?:-s(?P<see
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
-def verdict() -> dict[str, dict[str, Any]]:
-    """What the validation came to: by task of the study, the numbers of checks and those that are missed."""
+def verdict(*tasks: str) -> dict[str, dict[str, Any]]:
+    """What the validation came to (`validation.checks.summary`), by task: these, or those of the study."""
     found = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
-    return {task: found[task] for task in GRID}
+    return {task: found[task] for task in tasks or GRID}
 
 
-def validation(task: str | None = None) -> dict[str, int]:
-    """How many checks of SUMO against highway-env there are (all), and how many are equivalent, within and missed.
+def validation(*tasks: str) -> dict[str, Any]:
+    """How many checks of SUMO against highway-env there are (all), by verdict, within, outside, orders and zeros."""
+    stored = verdict(*tasks).values()
+    sums = pd.DataFrame([own["counts"] for own in stored]).sum().to_dict()
+    counts = {name: sum(own[name] for own in stored) for name in ("orders", "zeros")}
+    sums |= counts | {"outside": sum(len(own["outside"]) for own in stored)}
+    return {"all": sum(sum(own["counts"].values()) for own in stored), **sums}
 
-    orders: those of the order of egos, by return and by crash rate in each setting and traffic.
+
+def trained() -> dict[str, Any]:
+    """Crash rates of the published agents on both simulators.
+
+    Returns:
+        sets: of agents and traffics; beyond: those in which the simulators differ by more than 10 points; table: of the
+        lightest levels, a line a task, "SUMO→highway-env" by arm and traffic [%].
     """
-    counts = pd.DataFrame({name: own["counts"] for name, own in verdict().items()})
-    sums = (counts.sum(axis=1) if task is None else counts[task]).to_dict()
-    passed = sums["equivalent"] + sums["within"]
-    orders = 4 * sum(task in (None, own) for own, _ in STUDY.settings)
-    return {"all": passed + sums["missed"], "passed": passed, "orders": orders, **sums}
+    rows = pd.DataFrame([{"task": task, **row} for task, own in verdict().items() for row in own["agents"]])
+    lines = []
+    for task in GRID:
+        line = {"task": f"{task} {GRID[task][0]}"}
+        for row in chosen(rows, task=task, level=GRID[task][0]).to_dict("records"):
+            rates = (points(row[side], "crashed", signed=False) for side in ("sumo", "reference"))
+            line[f"{row['ego']}, {row['traffic']}"] = "→".join(rates)
+        lines.append(line)
+    beyond = int((rows["difference"].abs() > 0.1).sum())
+    return {"sets": len(rows), "beyond": beyond, "table": _markdown(pd.DataFrame(lines))}
 
 
 def entries() -> str:
@@ -215,7 +231,7 @@ def arrow(row: dict[str, Any], bold: bool = False) -> str:
 
 FUNCTIONS: list[Callable[..., Any]] = [
     *(by_task.difference, entries, events_per_hour, failing, other_learners, readme_agents, row),
-    *(share, study, survivors, taken_over, trainings, validation, verdict),
+    *(share, study, survivors, taken_over, trained, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 IMAGES = ROOT / "docs" / "img"

@@ -294,7 +294,9 @@ def test_the_checks_of_the_validation_are_counted() -> None:
     studied = [verdict[task] for task in GRID]
     found = pages.validation()
     assert found["all"] == sum(sum(own["counts"].values()) for own in studied)
-    assert found["missed"] == sum(len(own["missed"]) for own in studied) == found["all"] - found["passed"]
+    outside = [item["verdict"] for own in studied for item in own["outside"]]
+    assert found["outside"] == len(outside) == found["all"] - found["equivalent"] - found["within"]
+    assert found["missed"] == outside.count("missed") and pages.outside().count("\n- ") == len(outside) - 1
 
 
 def episodes_of(setting: str, arm: str, traffic: str) -> list[dict[str, Any]]:

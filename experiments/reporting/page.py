@@ -188,12 +188,12 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
 
 
 def checks(results: Results) -> dict[str, Any]:
-    """How many checks of SUMO against highway-env are within their margins, and which are not."""
+    """How many checks of SUMO against highway-env there are, and whose estimates are outside of their margins."""
     on_sumo = [cell for cell in results.cells.values() if cell["key"]["backend"] == "sumo"]
     tasks = verdicts(on_sumo)
     total = sum(sum(verdict["counts"].values()) for verdict in tasks.values())
-    missed = [{"task": task, **item} for task, verdict in tasks.items() for item in verdict["missed"]]
-    return {"relevant": bool(on_sumo), "total": total, "missed": missed}
+    outside = [{"task": task, **item} for task, verdict in tasks.items() for item in verdict["outside"]]
+    return {"relevant": bool(on_sumo), "total": total, "outside": outside}
 
 
 @cache

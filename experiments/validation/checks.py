@@ -1,10 +1,10 @@
 """The checks of a task, level and traffic: what was measured, and its margin.
 
 A margin says how far SUMO's traffic may be from highway-env's before a researcher would conclude something else. The
-margins were fixed before SUMO's drivers were validated with them, and are never fitted to results. A check is judged by
-its point estimate; *equivalent* is said only where the whole 90 % interval lies inside the margin (two one-sided tests
-at 5 %, Schuirmann 1987). Few scenarios miss a margin by noise alone: a quick run calls a check *missed* only where the
-whole interval lies outside of the margin, and *not decided* where the estimate alone does.
+margins were fixed before SUMO's drivers were validated with them, and are never fitted to results. *Equivalent* is said
+only where the whole 90 % interval lies inside the margin (two one-sided tests at 5 %, Schuirmann 1987), *missed* only
+where the whole interval lies outside of it. Where the estimate alone is outside, the check is *not decided*. An order
+of two egos has no interval: it is missed where SUMO itself decides it the other way round.
 
 Two simulators are compared on the same scenarios. The scenario is the unit: the egos that were driven through one are
 averaged first, so that intervals (by Student's t) do not pretend that they are independent. At the intersection, where
@@ -27,15 +27,16 @@ from scipy import stats
 
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import sheet
-from experiments.validation.episodes import BIN, BINS, CORE, HEADWAYS, PAIR, egos
+from experiments.validation.episodes import AGENTS, BIN, BINS, CORE, HEADWAYS, PAIR, egos
 
 Check = dict[str, Any]
 # SUMO minus the reference: the means of both ("sumo", "reference"), their "difference", its 90 % interval ("low",
 # "high", NaN without one), and the number of scenarios ("n").
 Difference = dict[str, float]
 LEAST_SCENARIOS = 3  # with fewer there is no verdict
-# The interval is within the margin, the estimate is, neither is; in a quick run: the interval is on both sides of it.
-VERDICTS = ("equivalent", "within", "missed", "not decided")
+# The interval is within the margin; the estimate is; the estimate is outside; the interval is.
+VERDICTS = ("equivalent", "within", "not decided", "missed")
+OUTSIDE = VERDICTS[2:]  # of the estimate
 # Engines in a table of episodes: the compared simulator, highway-env by its replica, and highway-env itself.
 SUMO, REFERENCE, TRUTH = "sumo", "reference", "highway-env"
 # The replica in other variants, by what differs.
@@ -177,21 +178,16 @@ def difference(metric: str, both: pd.DataFrame) -> Difference:
     return mean_difference(both, metric)
 
 
-def verdict(found: Difference, bound: float, by_interval: bool = False) -> str | None:
-    """One of VERDICTS, or None if nothing can be said.
-
-    Args:
-        by_interval: where the estimate is outside of the margin and the interval is not, the check is not decided.
-    """
+def verdict(found: Difference, bound: float) -> str | None:
+    """One of VERDICTS, or None if nothing can be said."""
     if not math.isfinite(bound) or not math.isfinite(found["difference"]) or found["n"] < LEAST_SCENARIOS:
         return None
     if abs(found["difference"]) > bound + 1e-9:
-        outside = found["low"] > bound or found["high"] < -bound
-        return "missed" if outside or not by_interval else "not decided"
+        return "missed" if found["low"] > bound or found["high"] < -bound else "not decided"
     return "equivalent" if -bound <= found["low"] and found["high"] <= bound else "within"
 
 
-def level_checks(rows: pd.DataFrame, task: str, traffic: str, by_interval: bool = False) -> list[Check]:
+def level_checks(rows: pd.DataFrame, task: str, traffic: str) -> list[Check]:
     """All checks of one task, level and traffic: those with a margin first.
 
     Each has a metric, name, unit, ego and note, a `Difference`, its margin and verdict, and the differences of VARIANTS
@@ -199,16 +195,17 @@ def level_checks(rows: pd.DataFrame, task: str, traffic: str, by_interval: bool 
 
     Args:
         rows: the episodes of all engines.
-        by_interval: of `verdict`.
     """
     found = []
 
     def add(metric: str, own: Difference, **labels: Any) -> None:
         bound = margin(metric, task, traffic, own["reference"])
         labels = {"metric": metric, "name": "", "unit": "", "ego": "", "note": "", **labels}
-        found.append({**labels, **own, "margin": bound, "verdict": verdict(own, bound, by_interval)})
+        found.append({**labels, **own, "margin": bound, "verdict": verdict(own, bound)})
 
-    every = pairs(rows, SUMO, REFERENCE)
+    driven = pairs(rows, SUMO, REFERENCE)
+    trained = driven["ego"].isin(AGENTS)
+    every = driven[~trained]
     core = every[every["ego"].isin(CORE)]
     variants = {name: pairs(rows[rows["ego"].isin(CORE)], name, REFERENCE) for name in VARIANTS}
     for metric, (name, unit) in MEASURES.items():
@@ -218,6 +215,8 @@ def level_checks(rows: pd.DataFrame, task: str, traffic: str, by_interval: bool 
         own = every[every["ego"] == ego]
         add("crashed_ego", mean_difference(own, "crashed"), name="crash rate", ego=ego)
         add("return_ego", mean_difference(own, "return"), name="return", ego=ego)
+    for agent, own in driven[trained].groupby("ego"):
+        add("crashed_agent", mean_difference(own, "crashed"), name="crash rate", ego=agent)
     for measure, name in (("return", "return"), ("crashed", "crash rate")):
         turned, count = reversed_pairs(every, measure)
         order: Difference = {"sumo": count - len(turned), "reference": count, "difference": -len(turned)}
@@ -243,30 +242,41 @@ def replica_checks(table: pd.DataFrame) -> dict[str, Any]:
     return tasks
 
 
-def scorecard(table: pd.DataFrame, by_interval: bool = False) -> list[Check]:
+def scorecard(table: pd.DataFrame) -> list[Check]:
     """All checks, one after the other, with their task, traffic and the name of their level, as plain JSON values.
 
     Args:
         table: the episodes of all engines.
-        by_interval: of `verdict`.
     """
     found = pd.DataFrame(
         {"task": task, "traffic": traffic, "level": level_names(task)[level - 1], **item}
         for (task, traffic, level), rows in table.groupby(["task", "traffic", "level"])
-        for item in level_checks(rows, task, traffic, by_interval)
+        for item in level_checks(rows, task, traffic)
     )
     return json.loads(found.to_json(orient="records"))  # no number is null
 
 
 def summary(checks: Sequence[Check], tasks: Iterable[str]) -> dict[str, Any]:
-    """What the verdict on each task says: passed, how many checks came out how, and by name those that were missed."""
-    keys = ("traffic", "level", "name", "ego", "sumo", "reference", "difference", "margin", "note")
+    """What the verdict on each task says.
+
+    Returns:
+        By task: whether it passed (no check is missed); the counts of checks by verdict; how many of them are orders of
+        egos, which have no interval, and in how many both simulators say 0; by name those whose estimate is outside
+        of its margin; and the crash rates of trained agents, which have no margin.
+    """
+    keys = ("traffic", "level", "name", "ego", "sumo", "reference", "difference", "low", "high")
     result = {}
     for task in tasks:
         own = [item for item in checks if item["task"] == task]
-        verdicts = [item["verdict"] for item in own]
-        counts = {word: verdicts.count(word) for word in VERDICTS}
-        missed = [{key: item[key] for key in keys} for item in own if item["verdict"] == "missed"]
-        passed = not missed if sum(counts.values()) else None
-        result[task] = {"passed": passed, "counts": counts, "missed": missed}
+        judged = [item for item in own if item["verdict"]]
+        verdicts = [item["verdict"] for item in judged]
+        outside = [item for item in judged if item["verdict"] in OUTSIDE]
+        result[task] = {
+            "passed": "missed" not in verdicts if judged else None,
+            "counts": {word: verdicts.count(word) for word in VERDICTS},
+            "orders": sum(item["metric"] == "order" for item in judged),
+            "zeros": sum(item["sumo"] == item["reference"] == 0.0 for item in judged),
+            "outside": [{key: item[key] for key in (*keys, "margin", "verdict", "note")} for item in outside],
+            "agents": [{key: item[key] for key in keys} for item in own if item["metric"] == "crashed_agent"],
+        }
     return result

@@ -1,8 +1,8 @@
 """Whole episodes in any simulator, one row of measures each, driven in parallel processes and resumable.
 
 The ego is measured as the study measures it (`play`), the other vehicles in ``env.unwrapped.scene`` at the start and
-after every policy step. The egos are the rules of `agents`, and two that repeat a few actions. Each `Part` of the
-episodes is a file of its own, which the study's runner has written.
+after every policy step. The egos are the rules of `agents`, two that repeat a few actions, and the published agents.
+Each `Part` of the episodes is a file of its own, which the study's runner has written.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from agents import pretrained
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
 from experiments.backends import make_env
@@ -41,6 +42,7 @@ from sumo_env.tasks import TASKS
 
 CORE = ("idle", "faster", "random", "careful", "idm")  # averaged over in the checks "over egos"
 MORE = ("slower", "pulsing", "weaving")
+AGENTS = ("control", "treatment")  # published agents, where a setting has them
 CYCLES: dict[str, tuple[str, ...]] = {
     "pulsing": ("SLOWER", "IDLE", "FASTER", "FASTER", "IDLE", "SLOWER"),
     "weaving": ("LANE_LEFT", "IDLE", "LANE_RIGHT", "IDLE"),
@@ -76,8 +78,21 @@ def egos(task: str) -> tuple[str, ...]:
     return tuple(name for name in (*CORE, *MORE) if name not in sheet(task).egos_without)
 
 
-def make_ego(name: str, env: Any) -> Policy:
-    """The ego of this name for an environment."""
+def setting(task: str, level: int) -> str:
+    """The name of a task's traffic level among the published agents."""
+    return f"{task}-{level_names(task)[level - 1]}"
+
+
+def agents(task: str, level: int) -> tuple[str, ...]:
+    """Names of the published agents of a setting that are egos."""
+    published = pretrained.cards()
+    return tuple(name for name in AGENTS if f"{setting(task, level)}/{name}" in published)
+
+
+def make_ego(name: str, env: Any, level: int) -> Policy:
+    """The ego of this name for an environment with traffic of this level."""
+    if name in AGENTS:
+        return pretrained.load(setting(env.unwrapped.task.name, level), name)
     if name not in CYCLES:
         return make_policy(name, env)
     numbers = {action: number for number, action in env.unwrapped.actions.items()}
@@ -140,7 +155,8 @@ class Engine:
     """A simulator with its settings.
 
     name: how tables call it. config: changes of a task's configuration. options: of `reset`, more than the dose of
-    risk (highway-env itself has none). one_in: drives a random episode in so many. egos: all of the task if empty.
+    risk (highway-env itself has none). one_in: drives a random episode in so many. egos: AGENTS, or rules, all of the
+    task's if empty.
     """
 
     name: str
@@ -180,11 +196,13 @@ class Part:
 
     def episodes(self) -> list[tuple[int, str]]:
         """Scenario and ego of each episode."""
+        asked = self.engine.egos
+        known = agents(self.task, self.level) if asked == AGENTS else egos(self.task)
         return [
             (scenario, ego)
             for scenario in self.scenarios
-            for ego in egos(self.task)
-            if not self.engine.egos or ego in self.engine.egos
+            for ego in known
+            if not asked or ego in asked
             if self.engine.one_in == 1 or self._is_drawn(scenario, ego)
         ]
 
@@ -215,6 +233,8 @@ class Part:
     def drive(self, heartbeat: Callable[[float], None] = lambda _: None) -> pd.DataFrame:
         """Drive all episodes in this process, telling `heartbeat` the share that is done: a row of COLUMNS for each."""
         level = TASKS[self.task].levels[level_names(self.task)[self.level - 1]]
+        if self.engine.egos == AGENTS:
+            level = pretrained.card(setting(self.task, self.level), AGENTS[0])["config"]
         env = make_env(self.engine.backend, self.task, {**level, **self.engine.config})
         rows, episodes = [], self.episodes()
         for number, episode in enumerate(episodes):
@@ -230,7 +250,9 @@ class Part:
         options = {
             name: own for name, own in self.engine.options.items() if risky or not name.startswith("risk_")
         }
-        row = play(env, make_ego(ego, env), drive, lambda: scenes.append(inner.scene), options=options)
+        row = play(
+            env, make_ego(ego, env, self.level), drive, lambda: scenes.append(inner.scene), options=options
+        )
         ending = "time" if row["truncated"] else "left"
         road, interval = TASKS[self.task].road(inner.config), 1.0 / inner.config["policy_frequency"]
         return {
@@ -253,9 +275,10 @@ def plan(
 ) -> list[Part]:
     """Everything that the engines have to drive, `size` scenarios in a part.
 
-    On roads without joins, engines that differ only in how far drivers see beyond a join are not driven.
+    On roads without joins, engines that differ only in how far drivers see beyond a join are not driven, nor published
+    agents in settings that have none.
     """
-    return [
+    parts = [
         Part(engine, task, level, traffic, scenarios[first : first + size])
         for engine in engines
         for task, numbers in levels.items()
@@ -265,6 +288,7 @@ def plan(
         for traffic in traffics
         for first in range(0, len(scenarios), size)
     ]
+    return [part for part in parts if part.engine.egos != AGENTS or agents(part.task, part.level)]
 
 
 def run(parts: Sequence[Part], directory: Path, workers: int) -> pd.DataFrame:

@@ -14,7 +14,7 @@ import experiments.validate
 from experiments import calibrate
 from experiments.study.design import verdict
 from experiments.study.design.fingerprint import dynamics
-from experiments.validate import MISSED, Options, tables, validate
+from experiments.validate import OUTSIDE, Options, tables, validate
 from experiments.validation.checks import REFERENCE, SUMO
 from experiments.validation.episodes import Engine
 from tests.experiments.validation.tables import compared, episodes
@@ -89,7 +89,7 @@ def test_the_command_writes_what_it_found(tmp_path: Path, here: None) -> None:
     assert record["replica"] == {}  # highway-env itself drives nothing in a quick run
     rows = (tmp_path / "validation.html").read_text().count("<tr")
     assert rows == sum(len(table) + 1 for table in tables(record).values() if len(table))  # with heads
-    assert record["tasks"]["u-turn"]["counts"]["missed"] == len(tables(record)[MISSED])
+    assert len(record["tasks"]["u-turn"]["outside"]) == len(tables(record)[OUTSIDE])
 
 
 def test_an_update_stores_the_driven_tasks_and_keeps_the_others(

@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents import pretrained
+from experiments.backends import make_env
+from experiments.study.compute.evaluate import Drive, play
 from experiments.validation import episodes
 from experiments.validation.episodes import COLUMNS, CORE, HEADWAYS, Engine, Part, egos, plan, run
 from sumo_env.networks.roads import highway
@@ -20,6 +23,18 @@ def test_every_scenario_is_driven_by_every_ego() -> None:
     assert part.episodes() == [(scenario, ego) for scenario in range(3) for ego in egos("u-turn")]
     assert "faster" not in egos("intersection")  # which is idle there
     assert set(CORE) - {"faster"} <= set(egos("two-way"))
+
+
+def test_published_agents_drive_where_there_are_some() -> None:
+    """With the configuration that they were trained in, whatever the validation's is."""
+    agents = replace(SUMO, egos=episodes.AGENTS)
+    planned = plan([agents], {"u-turn": [1, 2], "merge": [1]}, ["regular"], range(2))
+    assert [(part.task, part.level) for part in planned] == [("u-turn", 1)]
+    table = planned[0].drive()
+    assert table["ego"].tolist() == [*episodes.AGENTS] * 2
+    env = make_env("sumo", "u-turn", pretrained.card("u-turn-3", "control")["config"])
+    row = play(env, pretrained.load("u-turn-3", "control"), Drive("u-turn", 1, "regular", 1))
+    assert table["return"].iloc[2] == pytest.approx(row["return"])
 
 
 def test_a_random_part_is_the_same_however_it_is_divided() -> None:

@@ -79,7 +79,7 @@ def trained() -> dict[str, Any]:
             line[f"{row['ego']}, {row['traffic']}"] = "→".join(rates)
         lines.append(line)
     beyond = int((rows["difference"].abs() > 0.1).sum())
-    return {"sets": len(rows), "beyond": beyond, "table": _markdown(pd.DataFrame(lines))}
+    return {"sets": len(rows), "beyond": beyond, "table": _markdown(lines)}
 
 
 def entries() -> str:
@@ -97,9 +97,7 @@ def entries() -> str:
                 both = (rows.loc[(task, traffic)]["crashed"][0] for traffic in ("regular", "risky"))
                 line[task] = "/".join(points(rate, "crashed", signed=False) for rate in both)
         lines.append(line)
-    table = pd.DataFrame(lines).fillna("")
-    rows = [list(table.columns), ["---"] * len(table.columns), *table.values]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    return _markdown(lines)
 
 
 @functools.cache
@@ -227,6 +225,12 @@ def arrow(row: dict[str, Any], bold: bool = False) -> str:
         points(row[side], row["outcome"], signed=False) for side in ("mean_against", "mean_arm")
     )
     return f"{control}→**{treated}**" if bold and row["low"] * row["high"] > 0 else f"{control}→{treated}"
+
+
+def _markdown(lines: list[dict[str, str]]) -> str:
+    table = pd.DataFrame(lines).fillna("")
+    rows = [list(table.columns), ["---"] * len(table.columns), *table.values]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 FUNCTIONS: list[Callable[..., Any]] = [

@@ -296,7 +296,7 @@ def test_the_checks_of_the_validation_are_counted() -> None:
     assert found["all"] == sum(sum(own["counts"].values()) for own in studied)
     outside = [item["verdict"] for own in studied for item in own["outside"]]
     assert found["outside"] == len(outside) == found["all"] - found["equivalent"] - found["within"]
-    assert found["missed"] == outside.count("missed") and pages.outside().count("\n- ") == len(outside) - 1
+    assert found["missed"] == outside.count("missed")
 
 
 def episodes_of(setting: str, arm: str, traffic: str) -> list[dict[str, Any]]:

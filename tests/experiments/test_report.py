@@ -124,7 +124,7 @@ class TestReport:
 
     def test_a_check_of_sumo_that_is_missed_stands_with_sumo_s_number_first(self, directory):
         stored, text = json.loads(STORED.read_text()), (directory / report.REPORT).read_text()
-        for item in stored["u-turn"]["missed"] + stored["intersection"]["missed"]:
+        for item in stored["u-turn"]["outside"] + stored["intersection"]["outside"]:
             assert f"{item['sumo']:.3g} instead of {item['reference']:.3g}" in text
 
     @pytest.mark.parametrize("name", ["report.html", "appendix.html"])

@@ -84,18 +84,12 @@ def cells(*tasks: str) -> list[dict[str, Any]]:
     return [{"key": key, "versions": {**versions(), "torch": "2"}} for key in keys]
 
 
-# Since lane changes and braking have changed: validate.py gives the verdict on the present dynamics.
-stale = pytest.mark.xfail(strict=True, reason="the stored verdict is on earlier dynamics")
-
-
-@stale
 def test_the_package_knows_the_present_dynamics() -> None:
     found = verdicts(cells(*PUBLISHED))
     assert found.keys() == set(PUBLISHED) and all(sum(own["counts"].values()) for own in found.values())
     assert verdicts(cells("u-turn", "u-turn")).keys() == {"u-turn"}
 
 
-@stale
 @pytest.mark.parametrize(
     ("part", "changed"),
     [("key", {"dynamics": "other"}), ("key", {"task": "none"}), ("versions", {"libsumo": "0.0"})],

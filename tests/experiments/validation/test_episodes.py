@@ -27,7 +27,7 @@ def test_every_scenario_is_driven_by_every_ego() -> None:
 
 def test_published_agents_drive_where_there_are_some() -> None:
     """With the configuration that they were trained in, whatever the validation's is."""
-    agents = replace(SUMO, egos=episodes.AGENTS)
+    agents = Engine("sumo", "sumo", egos=episodes.AGENTS)
     planned = plan([agents], {"u-turn": [1, 2], "merge": [1]}, ["regular"], range(2))
     assert [(part.task, part.level) for part in planned] == [("u-turn", 1)]
     table = planned[0].drive()

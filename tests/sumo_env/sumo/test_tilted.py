@@ -16,6 +16,7 @@ from sumo_env.env import DrivingEnv
 from sumo_env.env.cars import make
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import Scene
+from sumo_env.sumo.events import DELAY
 from sumo_env.sumo.tilted import Tilted
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
 from sumo_env.traffic.tilt import Tilt
@@ -73,13 +74,18 @@ def test_the_weight_is_that_of_the_stored_events(task: str) -> None:
             assert found == pytest.approx(recomputed(env, driven, list(env.scenario.events), rate), abs=1e-9)
             further = [event for event in env.scenario.events if event.is_further]
             base = {event.vehicle for event in env.scenario.events if not event.is_further}
-            last, a_step_before = 1.0 / env.scenario.simulation_frequency + 1e-6, set[str]()
+            last, who_was_near = 1.0 / env.scenario.simulation_frequency + 1e-6, dict[float, set[str]]()
             for before, after in driven:
-                begun, here = after.in_event - before.in_event - base, near(before, reach + 1e-6)
-                # what is due in a step's last sub-step begins after it
-                late = {event.vehicle for event in further if before.time - last < event.time <= before.time}
-                assert begun <= here | (late & a_step_before)
-                a_step_before = here
+                begun = after.in_event - before.in_event - base
+                here = who_was_near[before.time] = near(before, reach + 1e-6)
+                # what is due in a step's last sub-step begins after it, and cut-ins wait until they can
+                late = {
+                    event.vehicle
+                    for event in further
+                    if 0.0 <= before.time - event.time < last + DELAY * (event.kind == "cut-in")
+                    and event.vehicle in who_was_near[max(at for at in who_was_near if at < event.time)]
+                }
+                assert begun <= here | late
 
 
 def test_an_event_between_two_scenes_comes_by_who_was_near_in_the_first_one() -> None:

@@ -28,6 +28,14 @@ def wrap_to_pi(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
+def quarter_turns(point: Point, quarters: int) -> Point:
+    """`point` after `quarters` quarter turns about the origin, clockwise on the screen; exact."""
+    x, y = point
+    for _ in range(quarters % 4):
+        x, y = -y, x
+    return x, y
+
+
 @dataclass(frozen=True, slots=True)
 class Lane:
     """What all lanes share; the subclasses add the curve."""

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, StraightLane
+from sumo_env.networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, StraightLane, quarter_turns
 
 LaneIndex = tuple[str, str, int]
 
@@ -235,14 +235,6 @@ RING = ("se", "ex", "ee", "nx", "ne", "wx", "we", "sx")  # the ring's nodes in d
 ARMS = ("s", "e", "n", "w")  # arms of the roundabout, likewise
 
 
-def _turned(point: Point, quarters: int) -> Point:
-    """`point` after `quarters` quarter turns about the origin, clockwise on the screen; exact."""
-    x, y = point
-    for _ in range(quarters % 4):
-        x, y = -y, x
-    return x, y
-
-
 @lru_cache(maxsize=8)
 def roundabout() -> Road:
     """A two-lane ring of radii 20 and 24 m, driven counter-clockwise on the screen, with four arms.
@@ -269,7 +261,7 @@ def roundabout() -> Road:
     for arm, name in enumerate(ARMS):  # the southern arm's coordinates, turned
 
         def at(x: float, y: float, quarters: int = -arm) -> Point:
-            return _turned((x, y), quarters)
+            return quarter_turns((x, y), quarters)
 
         road_in, sine_in, ring_in = name + "er", name + "es", name + "e"
         ring_out, sine_out, road_out = name + "x", name + "xs", name + "xr"
@@ -294,7 +286,7 @@ def intersection() -> Road:
     for corner in range(4):
 
         def at(x: float, y: float, quarters: int = corner) -> Point:
-            return _turned((x, y), quarters)
+            return quarter_turns((x, y), quarters)
 
         angle, rank = math.radians(90 * corner), 3 if corner % 2 else 1
         rule: dict[str, Any] = {"priority": rank, "speed_limit": 10.0}

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium as gym
-import pandas as pd
 import pytest
 
 import sumo_env
 from experiments import (
     attainable,
-    calibrate,
+    doses,
     evaluate,
     rare,
     replay,
@@ -71,8 +70,8 @@ def small(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluate, "POLICIES", ("slower", "careful"))
     monkeypatch.setattr(rare, "BATCH", 4)
     monkeypatch.setattr(rare, "PILOT", 4)
-    monkeypatch.setattr(calibrate, "DOSES", ("regular", "risky"))
-    for command in (attainable, calibrate, evaluate, rare, takeover, train, validate):
+    monkeypatch.setattr(doses, "DOSES", ("regular", "risky"))
+    for command in (attainable, doses, evaluate, rare, takeover, train, validate):
         monkeypatch.setattr(command, "check_dynamics", lambda _: None)
 
 
@@ -99,9 +98,8 @@ def every_command(task: str, home: Path) -> None:
     of_search = attainable.Options(tasks=(task,), levels=(1,), scenarios=2, width=2, out=home / "attainable")
     second: list[Callable[[], Any]] = [lambda: attainable.run(of_search, [])]
     if task == task_of(task):  # of a variant the traffic is its task's
-        doses = calibrate.Options(home / "doses", parts=("doses",), tasks=(task,), scenarios=1, workers=1)
-        calibrate.calibrate(doses)
-        assert "risky" in set(pd.read_csv(home / "doses" / "doses.csv")["traffic"])
+        table = doses.doses(doses.Options(home / "doses", tasks=(task,), scenarios=1, workers=1))
+        assert set(table["traffic"]) == {"regular", "risky"}
         few = {"tasks": (task,), "levels": (1,), "scenarios": 1}
         second.append(lambda: validate.validate(validate.Options(home / "one", quick=True, workers=1, **few)))
     for command in second:

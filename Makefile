@@ -25,7 +25,7 @@ $(STAMP): pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --retries 1 --timeout 10 -c requirements.lock \
 	  $(if $(TORCH),--extra-index-url $(TORCH)) torch
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet -c requirements.lock \
-	  --config-settings editable_mode=compat -e '.[study,reference,replica,gui,calibration,dev]'
+	  --config-settings editable_mode=compat -e '.[study,reference,replica,gui,dev]'
 	@touch $@
 
 sweep: setup

@@ -7,29 +7,10 @@ error that names the file. `GRID` is the paper's 18 settings. `VARIANTS` are tas
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from experiments.support.errors import UserError
-
-
-class Between(NamedTuple):
-    """Numbers that a calibration searches; log: evenly on the logarithm."""
-
-    low: float
-    high: float
-    log: bool = False
-
-
-SWITCH = (False, True)
-SHARE, FACTOR = Between(0.0, 1.0), Between(0.1, 1.0)
-Space = Mapping[str, Between | tuple[bool, ...]]
-CLOSER: Space = {"tau": FACTOR, "min_gap": FACTOR}
-
-
-def up_to(**rates: float) -> dict[str, Between]:
-    """Rates of events, each from 0 to its highest."""
-    return {name: Between(0.0, highest) for name, highest in rates.items()}
 
 
 @dataclass(frozen=True)
@@ -42,9 +23,7 @@ class Sheet:
     clock: a training clock longer than the test's, observed as a share [s]; None to train with the test's time limit.
     crossing: way from the start to just inside a crossing that the task is about [m]; None without one.
     lane_changes: whether the traffic changes lanes, as a measure of the validation. egos_without: egos that the
-        validation leaves out. rises: whether crashes of the careful ego are fitted to rise with the dose.
-    drivers, risk: what the calibration searches. Of car following only the time gap at the intersection is: elsewhere
-        nothing was gained by changes of highway-env's own numbers for IDM on other scenarios.
+        validation leaves out.
     """
 
     return_range: float
@@ -55,9 +34,6 @@ class Sheet:
     crossing: float | None = None
     lane_changes: bool = True
     egos_without: frozenset[str] = frozenset()
-    rises: bool = True
-    drivers: Space = field(default_factory=dict)
-    risk: Space = field(default_factory=dict)
 
 
 # On the roundabout and the u-turn the time limit is terminal in training, and the time observed. The roundabout's
@@ -69,15 +45,8 @@ SHEETS: dict[str, Sheet] = {
     "highway": Sheet(
         return_range=20.0,  # at most 1 a step for 20 s
         episode_length=17,
-        drivers={
-            "speed_gain": Between(2.0, 150.0, log=True),
-            "speed_gain_lookahead": Between(0.0, 40.0),
-            "assertive": Between(0.5, 1.3),
-        },
-        risk=up_to(cut_in=0.1, brake=0.1),
     ),
-    # Nearly everybody crashes here. Drivers keep their lane and nobody crosses: nothing to choose about them. The ego
-    # starts at its top speed, so that "faster" would be "idle" again.
+    # Drivers keep their lane. The ego starts at its top speed, so that "faster" would be "idle" again.
     "two-way": Sheet(
         return_range=15.0,
         episode_length=6,
@@ -85,8 +54,6 @@ SHEETS: dict[str, Sheet] = {
         study_steps=160_000,
         lane_changes=False,
         egos_without=frozenset({"faster"}),
-        rises=False,
-        risk=up_to(cut_in=0.03, brake=0.4),
     ),
     "roundabout": Sheet(
         return_range=11.0,
@@ -94,13 +61,6 @@ SHEETS: dict[str, Sheet] = {
         quick_updates=7000,
         clock=15,
         crossing=24.5,  # an ego's length beyond the entry
-        drivers={
-            "lane_changes": SWITCH,
-            "waits_for_approaching": SWITCH,
-            "ignores_approaching": SHARE,
-            "ignores_inside": SHARE,
-        },
-        risk={**up_to(brake=0.3, surge=0.6, cut_in=0.3), **CLOSER, "not_giving_way": SHARE},
     ),
     "intersection": Sheet(
         return_range=14.0,  # -5 to 9
@@ -109,13 +69,6 @@ SHEETS: dict[str, Sheet] = {
         crossing=45.0,
         lane_changes=False,
         egos_without=frozenset({"faster", "weaving"}),  # the ego starts at its top speed
-        drivers={
-            "waits_for_approaching": SWITCH,
-            "ignores_approaching": SHARE,
-            "ignores_inside": SHARE,
-            "tau": Between(0.8, 1.6),
-        },
-        risk={**up_to(surge=0.5, brake=0.3), **CLOSER, "decel": FACTOR, "not_giving_way": SHARE},
     ),
     "u-turn": Sheet(
         return_range=10.0,
@@ -123,23 +76,18 @@ SHEETS: dict[str, Sheet] = {
         quick_updates=7000,
         study_steps=80_000,
         clock=13,
-        drivers={"lane_changes": SWITCH, "assertive": Between(0.5, 1.3)},
-        risk={**up_to(cut_in=0.6, brake=0.3), **CLOSER, "decel": FACTOR},
     ),
     # In no published study. The ego starts at its top speed.
     "merge": Sheet(
         return_range=17.0,  # at most 1 a step, and 17 steps to the end at the lowest speed
         episode_length=13,
         egos_without=frozenset({"faster"}),
-        drivers={"assertive": Between(0.5, 1.3), "sideways": Between(0.1, 0.6)},
-        risk=up_to(cut_in=0.3, brake=0.3),
     ),
-    # In no published study. Drivers keep their lanes and nobody crosses, as on the two-way road.
+    # In no published study. Drivers keep their lanes, as on the two-way road.
     "exit": Sheet(
         return_range=11.0,  # 1 a step from 400 m on, which is reached after 9 of 18 steps at the highest speed
         episode_length=17,
         lane_changes=False,
-        risk=up_to(cut_in=0.3, brake=0.3),
     ),
 }
 # The paper's settings: names of the traffic levels by task, the lightest first.

@@ -83,7 +83,7 @@ addresses:
 	$(if $(and $(REPOSITORY),$(DOCUMENTATION)),,$(error REPOSITORY and DOCUMENTATION are needed))
 	sed -i -e '/address: /{s|^# address: ||;s|^{# address: \(.*\) #}$$|\1|;s|REPOSITORY|$(REPOSITORY)|g;s|DOCUMENTATION|$(DOCUMENTATION)|g;}' \
 	  -e 's|^DOCUMENTATION = ""|DOCUMENTATION = "$(DOCUMENTATION)"|' \
-	  pyproject.toml CITATION.cff mkdocs.yml docs/templates/README.md.j2 sumo_env/not_here.py
+	  pyproject.toml CITATION.cff mkdocs.yml docs/templates/README.md.j2 sumo_env/unsupported.py
 
 # The installed versions as the new constraint file; the head of the old file is kept.
 lock: setup

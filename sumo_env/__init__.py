@@ -27,14 +27,14 @@ _HERE = Path(__file__).parent
 if not (_HERE / "networks").is_dir():
     __path__.append(str(_HERE.parent))
 
-from sumo_env.not_here import NOT_HERE  # noqa: E402  (below the path of sumo_env.networks)
-from sumo_env.not_here import did_you_mean as _did_you_mean  # noqa: E402
-from sumo_env.tasks import TASKS as _TASKS  # noqa: E402
+from sumo_env.tasks import TASKS as _TASKS  # noqa: E402  (below the path of sumo_env.networks)
 from sumo_env.tasks import get_task as _get_task  # noqa: E402
+from sumo_env.unsupported import NOT_HERE  # noqa: E402
+from sumo_env.unsupported import did_you_mean as _did_you_mean  # noqa: E402
 
 __version__ = "0.1.0"
 
-# What runs; ids of highway-env that do not are `sumo_env.not_here.NOT_HERE`.
+# What runs; ids of highway-env that do not are `sumo_env.unsupported.NOT_HERE`.
 IDS = tuple(f"sumo/{name}-v0" for name in _TASKS)
 REPLICA_IDS = tuple(f"replica/{name}-v0" for name, task in _TASKS.items() if task.versions)
 
@@ -134,6 +134,6 @@ for _id in (*TUPLE_IDS, *SUMO_TUPLE_IDS):
         _make, _several["version"] = "make_replica", _version - _version % 2
     gym.register(_id, entry_point=f"sumo_env.env.cars:{_make}", kwargs=_several)
 for _id in NOT_HERE:
-    _not_here = "sumo_env.not_here:not_here"
+    _not_here = "sumo_env.unsupported:not_here"
     gym.register(_id, entry_point=_not_here, vector_entry_point=_not_here, kwargs={"id": _id})
     gym.registry[_id].name += ", not here"  # so that gymnasium calls no version before it out of date

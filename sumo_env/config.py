@@ -13,8 +13,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from sumo_env.not_here import TYPES as NOT_HERE
-from sumo_env.not_here import did_you_mean, page
+from sumo_env.unsupported import TYPES as NOT_HERE
+from sumo_env.unsupported import did_you_mean, page
 
 Config = dict[str, Any]
 

@@ -18,11 +18,11 @@ limit_threads()
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from sumo_env import not_here
+from sumo_env import unsupported
 from sumo_env.sumo import process
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame's windows are on a display that shows nothing
-not_here.DOCUMENTATION = ""  # messages name files, also once `make addresses` has filled it in
+unsupported.DOCUMENTATION = ""  # messages name files, also once `make addresses` has filled it in
 
 # A shell starts what it runs in the background with Ctrl-C ignored, and so would every process of a test.
 if threading.current_thread() is threading.main_thread():

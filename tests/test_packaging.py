@@ -126,7 +126,7 @@ def test_addresses_are_filled_in_at_once(tmp_path: Path) -> None:
         "CITATION.cff",
         "mkdocs.yml",
         "docs/templates/README.md.j2",
-        "sumo_env/not_here.py",
+        "sumo_env/unsupported.py",
     ]
     for name in [*names, "Makefile"]:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

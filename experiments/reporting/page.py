@@ -27,7 +27,7 @@ from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import verdicts
 from experiments.study.results.loaded import Results
 from experiments.study.results.store import Store
-from sumo_env.not_here import DOCUMENTATION
+from sumo_env.unsupported import DOCUMENTATION
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 

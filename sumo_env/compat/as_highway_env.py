@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from sumo_env.compat.views import RoadView, Vehicle, View, only_read, road_view
 from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, keys_of, resolve
-from sumo_env.not_here import NEVER_CALLED, missing, page
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
 from sumo_env.spaces.actions import SIDES, ActionType, Situation, lane_after
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.traffic.scenario import Scenario
+from sumo_env.unsupported import NEVER_CALLED, missing, page
 
 T = TypeVar("T")
 

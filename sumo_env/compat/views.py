@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from sumo_env.networks.lanes import Lane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.not_here import missing, page
 from sumo_env.scene import Floats, Scene, is_obstacle
 from sumo_env.spaces.actions import ActionType as Kind
 from sumo_env.spaces.actions import Situation
 from sumo_env.spaces.observation import FEATURES, destination_direction
 from sumo_env.traffic.scenario import VehicleSpec
+from sumo_env.unsupported import missing, page
 
 # Methods of lanes that take a place.
 OF_PLACES = {"local_coordinates", "on_lane", "is_reachable_from", "after_end", "distance"}

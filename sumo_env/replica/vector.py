@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from sumo_env.config import MOST_ENVS, ConfigError, whole_number
 from sumo_env.contacts.measures import NEAR_MISS_TTC
-from sumo_env.not_here import ALONE, missing
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SPEEDS, EnvParams, Start
@@ -33,6 +32,7 @@ from sumo_env.spaces.interface import actions_of, seeds_of
 from sumo_env.tasks import TASKS, VARIANTS
 from sumo_env.tasks.base import nearest_index
 from sumo_env.tasks.reset_options import given
+from sumo_env.unsupported import ALONE, missing
 
 RESULTS = kernels.OUTCOME.names or ()
 PATIENCE = 1e-5  # [s] until it is looked again whether all threads have begun

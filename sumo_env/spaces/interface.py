@@ -15,7 +15,6 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from sumo_env.config import MEASURED, Config, ConfigError, warn_once
-from sumo_env.not_here import page
 from sumo_env.spaces.actions import ActionType, ContinuousAction, action_type
 from sumo_env.spaces.grayscale import Grayscale
 from sumo_env.spaces.leaders_followers import LeadersFollowers
@@ -24,6 +23,7 @@ from sumo_env.spaces.observation import ExitObservation, Kinematics, TimeToColli
 from sumo_env.spaces.occupancy import OccupancyGrid
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import TARGET_SPEEDS, Task
+from sumo_env.unsupported import page
 
 ObservationType = Kinematics | TimeToCollision | OccupancyGrid | Grayscale | Lidar | LeadersFollowers
 

@@ -16,7 +16,7 @@ import pytest
 import sumo_env
 from experiments.backends import make_env
 from experiments.support.errors import UserError
-from sumo_env import benchmark_scenarios, not_here
+from sumo_env import benchmark_scenarios, unsupported
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnv
@@ -315,8 +315,8 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     # subclasses
     *((answering(name, None), TypeError, name) for name in ("_reward", "_rewards", "_info", "default_config")),
     (answering("__init__", None), AttributeError, "super().__init__()"),
-    *((partial(gym.make, id), gym.error.UnregisteredEnv, "docs/from-highway-env.md") for id in not_here.NOT_HERE),
-    *((overriding(name), TypeError, "docs/from-highway-env.md#subclasses") for name in not_here.NEVER_CALLED),
+    *((partial(gym.make, id), gym.error.UnregisteredEnv, "docs/from-highway-env.md") for id in unsupported.NOT_HERE),
+    *((overriding(name), TypeError, "docs/from-highway-env.md#subclasses") for name in unsupported.NEVER_CALLED),
     # tasks of a user's own
     (lambda: DrivingEnv(Twice("v0")).reset(seed=0), ConfigError, "are called 'v0'"),
     (nowhere, ConfigError, "no lane ('0', '1', 9)"),

@@ -94,7 +94,7 @@ def test_an_id_without_a_prefix_says_how_it_is_called_here() -> None:
         "except gymnasium.error.UnregisteredEnv as error: print(error)",
     )
     assert "use sumo/highway-v0" in python_again("-c", "\n".join(lines))
-    assert not set(sumo_env.not_here.NOT_HERE) & {f"{task}-v0" for task in OF_HIGHWAY_ENV}
+    assert not set(sumo_env.unsupported.NOT_HERE) & {f"{task}-v0" for task in OF_HIGHWAY_ENV}
 
 
 @pytest.mark.parametrize(

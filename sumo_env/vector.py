@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sumo_env.config import COMMON, MOST_ENVS, refuse_arguments, whole_number
 from sumo_env.env import DrivingEnv
 from sumo_env.simulator import SimulatorError
-from sumo_env.spaces.interface import actions_of, seeds_of
+from sumo_env.spaces.factory import actions_of, seeds_of
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import Task

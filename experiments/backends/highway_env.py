@@ -42,8 +42,8 @@ from sumo_env.networks.roads import LaneIndex
 from sumo_env.replica.linear import LAWS, LinearDriver, draw, linear_drivers
 from sumo_env.scene import OBSTACLE_SIZE, Scene
 from sumo_env.simulator import EgoStep
+from sumo_env.spaces.factory import interface
 from sumo_env.spaces.info import information
-from sumo_env.spaces.interface import interface
 from sumo_env.sumo import export
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task

@@ -10,7 +10,7 @@ from highway_env.envs.common import observation
 from highway_env.envs.common.observation import ExitObservation, KinematicObservation
 
 from sumo_env.spaces.approach import APPROACH, approach
-from sumo_env.spaces.interface import ObservationType
+from sumo_env.spaces.factory import ObservationType
 from sumo_env.spaces.observation import RELATIVE, Kinematics, TableForm
 
 

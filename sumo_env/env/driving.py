@@ -19,8 +19,8 @@ from sumo_env.env.screen import Screen
 from sumo_env.env.sumo_access import SumoAccess
 from sumo_env.scene import Scene
 from sumo_env.simulator import Command, Commands, EgoCommand, Simulator, Step
+from sumo_env.spaces.factory import interface
 from sumo_env.spaces.info import ending, information, on_its_way, paid_late
-from sumo_env.spaces.interface import interface
 from sumo_env.streams import stream
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo

@@ -28,7 +28,7 @@ from sumo_env.replica.compiled import compile_notice
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import steered
 from sumo_env.spaces.actions import SIDES, ContinuousAction
-from sumo_env.spaces.interface import actions_of, seeds_of
+from sumo_env.spaces.factory import actions_of, seeds_of
 from sumo_env.tasks import TASKS, VARIANTS
 from sumo_env.tasks.base import nearest_index
 from sumo_env.tasks.reset_options import given

@@ -23,7 +23,7 @@ from sumo_env.env import DrivingEnv
 from sumo_env.envs import HighwayEnvFast, UTurnEnv
 from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.replica.batch import reward_weights
-from sumo_env.spaces.interface import interface
+from sumo_env.spaces.factory import interface
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import TARGET_SPEEDS
 from tests.processes import python_again

@@ -23,7 +23,7 @@ from sumo_env.spaces.actions import (
     target_speed_index,
 )
 from sumo_env.spaces.approach import APPROACH
-from sumo_env.spaces.interface import interface
+from sumo_env.spaces.factory import interface
 from sumo_env.tasks import TASKS
 from tests.tasks import highway_env_task
 

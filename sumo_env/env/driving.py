@@ -22,8 +22,8 @@ from sumo_env.simulator import Command, Commands, EgoCommand, Simulator, Step
 from sumo_env.spaces.factory import interface
 from sumo_env.spaces.info import ending, information, on_its_way, paid_late
 from sumo_env.streams import stream
+from sumo_env.sumo.libsumo_calls import Sumo
 from sumo_env.sumo.process import SumoProcess
-from sumo_env.sumo.proxy import Sumo
 from sumo_env.tasks import get_task, reset_options
 from sumo_env.tasks.base import Task, nearest_index
 from sumo_env.traffic.scenario import Scenario, VehicleSpec

@@ -17,7 +17,7 @@ from sumo_env.replica import tables
 from sumo_env.replica.compiled import compiled, inlined, readable
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
-from sumo_env.replica.sight import ego_place, observe
+from sumo_env.replica.observation import ego_place, observe
 from sumo_env.replica.step import Rules, hold, policy_step, staying
 from sumo_env.spaces.observation import TableForm
 from sumo_env.tasks import TASKS, base

@@ -28,7 +28,7 @@ from sumo_env.replica.batch import Start
 from sumo_env.replica.draws import INSTEAD
 from sumo_env.replica.linear import LAWS
 from sumo_env.replica.linear import draw as draw_linear
-from sumo_env.replica.sight import form_of
+from sumo_env.replica.observation import form_of
 from sumo_env.replica.simulator import Replica
 from sumo_env.spaces.observation import OFFSETS, Kinematics
 from sumo_env.tasks import get_task

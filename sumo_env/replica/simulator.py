@@ -16,7 +16,7 @@ from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex, Road, highway
-from sumo_env.replica import sight, tables
+from sumo_env.replica import observation, tables
 from sumo_env.replica import step as kernels
 from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes, remaining
 from sumo_env.replica.compiled import compile_notice
@@ -158,7 +158,7 @@ class Replica:
 
     def ego_place(self) -> tuple[LaneIndex, float, float, bool]:
         """The ego's lane, its coordinates on it (s and lat) [m], and whether it is on the road."""
-        lane, s, lateral, is_on_road = sight.ego_place(self.seen_lanes, self._cars)
+        lane, s, lateral, is_on_road = observation.ego_place(self.seen_lanes, self._cars)
         return self.lanes.names[lane], s, lateral, is_on_road
 
     def before_ego(self) -> int:
@@ -171,7 +171,7 @@ class Replica:
     def table(self, form: TableForm) -> np.ndarray:
         """The Kinematics observation."""
         table = np.empty((form.rows, len(form.features)), np.float32)
-        sight.observe(self.seen_lanes, self._cars, form, table)
+        observation.observe(self.seen_lanes, self._cars, form, table)
         return table
 
     def warm_up(self, road: Road, vehicles: tuple[VehicleSpec, ...], time: float, frequency: int) -> Centres:
@@ -339,8 +339,8 @@ def _load() -> None:
         kernels.staying(lanes, cars)
         kernels.is_free(cars, 0.0, 0.0, 0.0)
         kernels.policy_step(lanes, rules, no_episodes(1), 0, frames)
-        sight.ego_place(lanes, cars)
-        sight.observe(lanes, cars, Kinematics({}, 1).form, np.empty((5, 5), np.float32))
+        observation.ego_place(lanes, cars)
+        observation.observe(lanes, cars, Kinematics({}, 1).form, np.empty((5, 5), np.float32))
 
 
 def _met(frames: Any, row: int, speed: float, dt: float) -> tuple[int, float, float]:

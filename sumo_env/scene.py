@@ -90,7 +90,7 @@ class Place(NamedTuple):
         waiting: number of vehicles that wait until SUMO can insert them.
         neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
         foe: the next vehicle to which it has to give way at the next junction, where a feature asks for it: see
-            `surroundings.foe`.
+            `nearby_vehicles.foe`.
         target_speed: that is commanded [m/s]; its own speed where SUMO drives.
         overlap: id of a vehicle whose outline the ego's has touched in this policy step without a crash, "" if none.
         fuel: burnt in this policy step [mg]; electricity: consumed [Wh].

@@ -17,8 +17,8 @@ from sumo_env.scenarios.progress import Progress
 from sumo_env.scene import NOBODY, Neighbour, Place
 from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.ego import coast, driven
+from sumo_env.sumo.nearby_vehicles import foe, neighbours
 from sumo_env.sumo.session import Session
-from sumo_env.sumo.surroundings import foe, neighbours
 from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.scenario import Arrival, Scenario
 

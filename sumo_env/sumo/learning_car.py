@@ -12,8 +12,8 @@ from sumo_env.contacts.measures import HORIZON
 from sumo_env.contacts.rectangles import State, first_touch
 from sumo_env.networks.meeting import Meeting
 from sumo_env.simulator import EgoCommand, EgoStep
+from sumo_env.sumo.nearby_vehicles import Surroundings
 from sumo_env.sumo.session import Session
-from sumo_env.sumo.surroundings import Surroundings
 
 BY_SUMO = EgoCommand(None, None)
 

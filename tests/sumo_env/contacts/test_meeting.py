@@ -17,7 +17,7 @@ from sumo_env.networks.mapping import network
 from sumo_env.networks.meeting import Meeting, Spot
 from sumo_env.networks.roads import road
 from sumo_env.scenarios import SumoDrivingEnv
-from sumo_env.sumo import surroundings
+from sumo_env.sumo import nearby_vehicles
 from sumo_env.tasks import TASKS
 from tests.sumo_env.plans import QUIET, another, build, needs_sumo, route_file
 from tests.sumo_env.rollout import drive
@@ -300,8 +300,8 @@ def test_of_a_vehicle_of_several_parts_the_parts_behind_follow_the_road(
 
     turns = 55, 7, '<route edges="ab bd"/>'
     assert driven(*turns)["ending"] == "arrived"
-    monkeypatch.setattr(surroundings, "BENDING", ())
-    monkeypatch.setattr(surroundings, "LONG", math.inf)
+    monkeypatch.setattr(nearby_vehicles, "BENDING", ())
+    monkeypatch.setattr(nearby_vehicles, "LONG", math.inf)
     assert driven(*turns)["crash"]["detected_by"] == "geometry"
     monkeypatch.undo()
     stands = 150, 0, '<route edges="ab bd"/><stop lane="ab_1" endPos="150" duration="90"/>'

@@ -10,8 +10,8 @@ import pytest
 
 from sumo_env.contacts.measures import TTC_RADIUS
 from sumo_env.sumo.engine import Engine
+from sumo_env.sumo.nearby_vehicles import FASTEST, Surroundings
 from sumo_env.sumo.session import Session
-from sumo_env.sumo.surroundings import FASTEST, Surroundings
 
 
 @pytest.mark.parametrize("seed", range(4))

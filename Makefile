@@ -48,7 +48,7 @@ weight:
 test: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long" --durations=25 $(ARGS)
 
-# Some six CPU minutes: what to run while writing code. Of one room: docs/developers/architecture.md.
+# Six to seven CPU minutes: what to run while writing code. Of one room: docs/developers/architecture.md.
 test-fast: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not long" $(ARGS)
 

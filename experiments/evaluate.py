@@ -8,7 +8,8 @@
 
 Five tasks in the lightest and the densest traffic, among regular, risky and measured drivers and risky ones without
 events: 200 scenarios each, the same ones for everybody (docs/benchmark.md). About ten minutes on two cores, with
---quick two. Writes card.json and card.html. --entry NAME also stores the card in results/entries.json.
+--quick two. Writes card.json and card.html. --entry NAME also stores the card in results/entries.json. --film films
+the crash of each task at the highest closing speed, beside a rule in the same scenario.
 
 Other tasks are tested in the same way, on scenarios that are not frozen, beside drivers of fixed rules.
 
@@ -25,6 +26,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import json
+import re
 import shlex
 import time
 from collections.abc import Mapping, Sequence
@@ -44,9 +46,11 @@ from experiments.study.compute.frozen_test import levels_of, resolved, scenarios
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, tasks_known
 from experiments.study.design.sheet import task_of
-from experiments.support.arguments import command
+from experiments.study.replaying.crash import Crash, beside_another, worst_crashes
+from experiments.support.arguments import Flag, command
 from experiments.support.errors import UserError, check_known, writing
 from experiments.support.files import read_json, sha256_bytes, write_file, write_json
+from experiments.support.films import save_gif
 from experiments.support.provenance import provenance
 from sumo_env.benchmark import SETTINGS, SIZE, BenchmarkScenario, stored
 
@@ -67,6 +71,9 @@ class Options:
     """A part of the agent's name in the directory; by default the agent that was trained last."""
     quick: bool = False
     """40 scenarios of each kind in place of 200."""
+    film: Flag = False
+    """Film the worst crash of each task, the one at the highest closing speed, beside the first of careful, sumo and
+    slower that does not crash there: POLICY-TASK.gif in the directory of the card."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/card")
     """Directory for card.json and card.html, which are written anew."""
     entry: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
@@ -91,8 +98,13 @@ def drivers(options: Options) -> dict[Place, Entrant]:
     return who
 
 
-def evaluated(options: Options, arguments: Sequence[str]) -> tuple[dict[str, Any], dict[str, Card]]:
-    """Drive the test; returns the card, and of tasks that are not frozen those of drivers of fixed rules, by name.
+def evaluated(
+    options: Options, arguments: Sequence[str]
+) -> tuple[dict[str, Any], dict[str, Card], list[Crash]]:
+    """Drive the test.
+
+    Returns:
+        The card; of tasks that are not frozen those of drivers of fixed rules, by name; each task's worst crash.
 
     Raises:
         UserError: as `drivers`, the policy does not fit an environment, or nothing could be driven.
@@ -123,7 +135,8 @@ def evaluated(options: Options, arguments: Sequence[str]) -> tuple[dict[str, Any
         "provenance": provenance(),
         "rows": found,
     }
-    return card, beside({group: own for group, own in groups.items() if own[0].task not in SETTINGS}, card)
+    others = {group: own for group, own in groups.items() if own[0].task not in SETTINGS}
+    return card, beside(others, card), worst_crashes(who, groups, driven)
 
 
 def beside(groups: Mapping[str, list[BenchmarkScenario]], card: Card) -> dict[str, Card]:
@@ -179,7 +192,7 @@ def page(card: Card, others: Mapping[str, Card]) -> str:
 
 def evaluate(options: Options, arguments: Sequence[str]) -> int:
     """Do what the options ask for; returns the exit status."""
-    card, rules = evaluated(options, arguments)
+    card, rules, crashes = evaluated(options, arguments)
     others = entries()
     for name, rule in rules.items():
         known = others.get(name, {"rows": [], "set": {}})
@@ -193,6 +206,11 @@ def evaluate(options: Options, arguments: Sequence[str]) -> int:
         print(f"not the frozen scenarios: {', '.join(card['changed'])} are drawn otherwise by this code")
     for group, reason in card["failed"].items():
         print(f"{group} was not driven: {reason}", file=sys.stderr)
+    for crash in crashes if options.film else ():
+        name = re.sub(r"[^\w.-]", "-", card["name"])
+        file = options.out / f"{name}-{crash.scenario.task}.gif"
+        save_gif(beside_another(crash, card["name"]), file)
+        print(f"film of the crash at the highest closing speed: {file}")
     if options.entry:
         if card["changed"] or card["failed"] or {*card["set"]} - {*SETTINGS}:
             raise UserError("--entry stores complete cards of the frozen scenarios alone")

@@ -15,6 +15,8 @@ from experiments.support.errors import UserError
 
 FREQUENCY = 5  # pictures per second
 HOLD = 5  # pictures for which the last one stays
+# configuration of an environment whose pictures stand beside others
+PANEL = {"screen_width": 440, "screen_height": 280, "scaling": 3.4, "centering_position": [0.45, 0.65]}
 TITLE, GAP = 22, 8  # [px] above a picture, and between two
 
 Pictures = list[Image.Image]

@@ -58,6 +58,36 @@ def test_a_policy_of_one_s_own_gets_the_card_of_the_rule_that_it_is(short: Path,
             assert low <= value <= high
 
 
+def test_the_worst_crash_of_a_task_is_filmed_beside_a_driver_without_one(
+    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Driven again, it is the crash that the test had met; another film where nobody of the others survives."""
+    shown: list[list[str]] = []
+
+    def side_by_side(films: Any, caption: list[str]) -> Any:
+        shown.append([*(title for title, _ in films), *caption])
+        return films[0][1]
+
+    monkeypatch.setattr("experiments.study.replaying.crash.side_by_side", side_by_side)
+    asked = evaluate.Options("faster", tasks=("u-turn",), quick=True, film=True, out=tmp_path)
+    _, _, [crash] = evaluate.evaluated(asked, [])
+    assert evaluate.evaluate(asked, []) == 0
+    monkeypatch.setattr("experiments.study.replaying.crash.OTHERS", ("faster", "idle"))
+    evaluate.beside_another(crash, "mine")
+    (own, other, where, _), (alone, there, words) = shown
+    assert (
+        "crash after" in own
+        and own.endswith(f"closing at {crash.speed:.0f} m/s")
+        and "crash after" not in other
+    )
+    assert alone == own.replace("faster", "mine") and there == where and "Nobody of faster, idle" in words
+    assert (
+        f"u-turn {crash.scenario.level}, {crash.scenario.traffic}, scenario {crash.scenario.number}" in where
+    )
+    assert (tmp_path / "faster-u-turn.gif").read_bytes().startswith(b"GIF")
+    assert "faster-u-turn.gif" in capsys.readouterr().out
+
+
 FAILS = """
 class Sometimes:
     def act(self, observation):

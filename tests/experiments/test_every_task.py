@@ -81,7 +81,9 @@ def every_command(task: str, home: Path) -> None:
     few: dict[str, Any] = {"tasks": (task,), "levels": (1,), "seeds": 1, "episodes": 1, "learners": learners}
     options = of_preset(train.Options, "smoke", **few, arms=("treatment",), out=trained)
     assert train.train(options, []) == 0
-    assert evaluate.evaluate(evaluate.Options(str(trained), quick=True, out=home / "card"), []) == 0
+    assert (
+        evaluate.evaluate(evaluate.Options(str(trained), quick=True, film=True, out=home / "card"), []) == 0
+    )
     assert watch.watch(watch.Options(trained)) == 0
     [cell] = (trained / "cells").glob("*-treatment-s0-*")
     assert replay.replay(replay.Options(f"{cell.with_suffix('')}:risky:0", policy=True)) == 0

@@ -22,6 +22,7 @@ from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
 from experiments.study.results.schema import EPISODES
+from experiments.support import films
 from experiments.support.errors import UserError
 
 pytestmark = pytest.mark.slow
@@ -71,7 +72,7 @@ def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:
     assert "risk 0: " in said
     assert "risk 1: " in said
     film: Any = Image.open(trained / "sumo-u-turn-3-mixed-s0-1.gif")
-    width: Any = watch.VIEW["screen_width"]
+    width: Any = films.PANEL["screen_width"]
     assert film.size[0] > 2 * width
     assert film.n_frames > 5
     assert "Crashes in test scenarios by traffic: risk 0 " in said and "chosen by hand" in said

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from typing import Any
 
 import gymnasium as gym
 import pandas as pd
 
+from agents.policies import Policy
 from experiments.study.compute.entrants import Entrant, Place
 from experiments.study.compute.evaluate import play_from
 from experiments.study.compute.executors import cores
@@ -36,23 +37,38 @@ def levels_of(task: str) -> tuple[str, ...]:
 def drive(entrant: Entrant, scenarios: Sequence[BenchmarkScenario]) -> tuple[pd.DataFrame, str]:
     """The episodes of one task, level and traffic, with its name, and the digest of their scenarios."""
     rows, drawn, first = [], [], scenarios[0]
-    with closing(_env(first)) as env:
+    with closing(opened(first)) as env:
         seen, policy = entrant.make(env)
         for one in scenarios:
-            try:
-                policy.reset(stream_seed("frozen test", one.group, one.number))
-                row = play_from(seen, policy, one.seed, one.options)
-            except (Exception, SystemExit) as error:  # whatever somebody's policy does
-                where = f"{entrant.name} in scenario {one.number} of {one.group}"
-                raise UserError(f"{where}: {in_a_line(error)}") from error
-            rows.append({"scenario": one.number, **row})
+            rows.append({"scenario": one.number, **episode(entrant, seen, policy, one)})
             drawn.append(env.unwrapped.scenario)
     frame = pd.DataFrame(rows).assign(task=first.task, level=first.level, traffic=first.traffic)
     return frame.astype(COLUMNS), digest(drawn)
 
 
-def _env(of: BenchmarkScenario) -> Any:
-    return gym.make(f"sumo_env:{of.id}", config=of.config)
+def episode(
+    entrant: Entrant,
+    env: Any,
+    policy: Policy,
+    one: BenchmarkScenario,
+    on_step: Callable[[], None] | None = None,
+) -> dict[str, Any]:
+    """An episode as `play_from` returns it. env, policy: what the entrant has made.
+
+    Raises:
+        UserError: the policy failed.
+    """
+    try:
+        policy.reset(stream_seed("frozen test", one.group, one.number))
+        return play_from(env, policy, one.seed, one.options, on_step)
+    except (Exception, SystemExit) as error:  # whatever somebody's policy does
+        where = f"{entrant.name} in scenario {one.number} of {one.group}"
+        raise UserError(f"{where}: {in_a_line(error)}") from error
+
+
+def opened(of: BenchmarkScenario, render_mode: str | None = None, **view: Any) -> Any:
+    """The environment of a scenario. view: keys of its pictures."""
+    return gym.make(f"sumo_env:{of.id}", config={**of.config, **view}, render_mode=render_mode)
 
 
 def resolved(
@@ -67,7 +83,7 @@ def resolved(
     for own in groups.values():
         place = own[0].task, own[0].level
         if place not in found:
-            with closing(_env(own[0])) as env:
+            with closing(opened(own[0])) as env:
                 found[place] = who[place].resolved(env)
             drive(found[place], own[:1])
     return found

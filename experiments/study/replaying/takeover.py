@@ -10,9 +10,7 @@ from typing import Any
 import pandas as pd
 
 from experiments.study.compute.takeover import PAIR, WINDOW, Driver, Moment, Question
-from experiments.support.films import Film, Pictures
-
-VIEW = {"screen_width": 440, "screen_height": 280, "scaling": 3.4, "centering_position": [0.45, 0.65]}
+from experiments.support.films import PANEL, Film, Pictures
 
 
 def most_telling(rows: pd.DataFrame) -> Mapping[str, Any] | None:
@@ -29,7 +27,7 @@ def films(asked: Question, row: Mapping[str, Any], names: Mapping[str, str]) -> 
     """Both endings of a row of the record, driven again from the reset, each under what comes of it."""
     found = []
     for name in PAIR:
-        with closing(asked.open("rgb_array", **VIEW)) as env:
+        with closing(asked.open("rgb_array", **PANEL)) as env:
             driver, film = Driver(asked.drivers[name], env), Film(env)
             past: list[Any] = [env.reset(**asked.reset(row["scenario"]))]
             film.frame()

@@ -9,24 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 
-def in_this_process(patch: pytest.MonkeyPatch) -> None:
-    """Cells and episodes are computed in a thread, which starts at once."""
-    patch.setattr("experiments.study.compute.cells.open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
-    for module in ("validation.episodes", "study.compute.frozen_test"):
-        patch.setattr(f"experiments.{module}.LocalExecutor", lambda _: ThreadPoolExecutor(1))
-
-
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    in_this_process(monkeypatch)
-
-
-@pytest.fixture(scope="module")
-def all_here() -> Iterator[None]:
-    """As `here`, for all tests of a module and for its fixtures."""
-    with pytest.MonkeyPatch.context() as patch:
-        in_this_process(patch)
-        yield
+    """Cells and episodes are computed in a thread, which starts at once."""
+    for module in ("cells", "batches"):
+        opened = f"experiments.study.compute.{module}.open_executor"
+        monkeypatch.setattr(opened, lambda *_: (ThreadPoolExecutor(1), 1))
+    for module in ("validation.episodes", "study.compute.frozen_test"):
+        monkeypatch.setattr(f"experiments.{module}.LocalExecutor", lambda _: ThreadPoolExecutor(1))
 
 
 @pytest.fixture(scope="class")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,9 @@ from experiments.support.files import read_json, write_json
 
 
 @pytest.fixture(autouse=True)
-def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """In place of results/attainable.json; everything is driven in a thread."""
+def stored(here: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """In place of results/attainable.json."""
     monkeypatch.setattr(design, "FILE", tmp_path / "attainable.json")
-    monkeypatch.setattr(
-        "experiments.study.compute.batches.open_executor", lambda *_: (ThreadPoolExecutor(1), 1)
-    )
     monkeypatch.setattr(attainable, "check_dynamics", lambda _: None)
     design.stored.cache_clear()
     yield tmp_path / "attainable.json"

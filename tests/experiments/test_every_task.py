@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium as gym
 import pytest
+from PIL import Image
 
 import sumo_env
 from experiments import (
@@ -30,7 +31,9 @@ from experiments.backends import has
 from experiments.study.design.levels import tasks_known
 from experiments.study.design.presets import of_preset, tuned
 from experiments.study.design.sheet import SHEETS, task_of
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError
+from experiments.support.films import PANEL
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.highway import Highway
 
@@ -63,9 +66,6 @@ def own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.fixture
 def small(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """In this process, and few episodes where no option says so."""
-    monkeypatch.setattr(
-        "experiments.study.compute.batches.open_executor", lambda *_: (ThreadPoolExecutor(1), 1)
-    )
     monkeypatch.setattr("sumo_env.benchmark.QUICK", 2)
     monkeypatch.setattr(evaluate, "POLICIES", ("slower", "careful"))
     monkeypatch.setattr(rare, "BATCH", 4)
@@ -81,12 +81,20 @@ def every_command(task: str, home: Path) -> None:
     few: dict[str, Any] = {"tasks": (task,), "levels": (1,), "seeds": 1, "episodes": 1, "learners": learners}
     options = of_preset(train.Options, "smoke", **few, arms=("treatment",), out=trained)
     assert train.train(options, []) == 0
-    assert (
-        evaluate.evaluate(evaluate.Options(str(trained), quick=True, film=True, out=home / "card"), []) == 0
-    )
-    assert watch.watch(watch.Options(trained)) == 0
-    [cell] = (trained / "cells").glob("*-treatment-s0-*")
-    assert replay.replay(replay.Options(f"{cell.with_suffix('')}:risky:0", policy=True)) == 0
+    [(name, record)] = Store(trained).agents().items()
+    assert (record["key"]["arm"], record["key"]["profile"]["updates"]) == ("treatment", 20)
+    assert min(Image.open(trained / f"{name}.png").size) > 200  # its learning curve
+    tested = evaluate.Options(str(trained), quick=True, film=True, out=home / "card")
+    assert evaluate.evaluate(tested, []) == 0
+    drivers = json.loads((home / "card" / evaluate.CARD).read_text())["drivers"]
+    assert {*drivers.values()} == {name}  # also at levels that it was not trained in
+    assert watch.watch(watch.Options(trained, scenario=0)) == 0
+    film: Any = Image.open(trained / f"{name.rpartition('-')[0]}-0.gif")
+    width: Any = PANEL["screen_width"]
+    assert film.size[0] > 2 * width and film.n_frames > 1  # at both risks
+    with pytest.raises(UserError, match=f"there are: {name}"):
+        watch.watch(watch.Options(trained, agent="control"))
+    assert replay.replay(replay.Options(f"{trained}/cells/{name}:risky:0", policy=True)) == 0
     curve = rare.Options(
         (str(trained),), task, rates="1", dose=1.0, episodes=4, plain=True, out=home / "curve"
     )

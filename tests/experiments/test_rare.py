@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from matplotlib.axes import Axes
 from experiments import rare
 from experiments.reporting.figures import COLOURS
 from experiments.reporting.rare import ROADS, rare_figure
-from experiments.study.compute import batches
 from experiments.study.compute.rare import Batch
 from experiments.support.errors import UserError
 from experiments.support.files import read_json
@@ -26,8 +24,7 @@ OPTIONS = rare.Options(("slower",), "u-turn", rates="0.3,1", dose=0.3, episodes=
 
 
 @pytest.fixture(autouse=True)
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batches, "open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
+def few(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rare, "BATCH", 40)
     monkeypatch.setattr(rare, "PILOT", 20)
     monkeypatch.setattr(rare, "check_dynamics", lambda _: None)

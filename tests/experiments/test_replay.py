@@ -8,11 +8,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from PIL import Image
 
 import agents
 from agents import pretrained
+from experiments import watch
 from experiments.replay import Options, parse_case, replay
 from experiments.study.compute.policies import driver
 from experiments.study.design.cell import tested_on as environment_of
@@ -184,3 +186,15 @@ def test_the_last_moment_to_avoid_a_crash_is_told_and_filmed(cells, tmp_path, ca
     left = row["crash_time"] - moments[-1]
     assert f"point of no return: {moments[-1]:g} s, {left:.1f} s before the contact" in last
     assert Image.open(film).size == (60, 2 * (20 + 22))  # one above the other, each with a title
+
+
+def test_the_scenario_is_chosen_by_a_rule_that_is_said() -> None:
+    columns = ("traffic", "scenario", "near_misses", "crashed")
+    rows = [("regular", 0, 3, False), ("risky", 0, 0, False), ("risky", 1, 2, True), ("risky", 2, 1, False)]
+    table = pd.DataFrame(rows, columns=columns)
+    here = Path()
+    assert watch.scenario_of(table, watch.Options(here)) == (2, watch.NEARLY)
+    assert watch.scenario_of(table, watch.Options(here, crash=True)) == (1, watch.CRASHES)
+    assert watch.scenario_of(table[:3], watch.Options(here))[0] == 0
+    assert watch.scenario_of(table[2:3], watch.Options(here)) == (1, watch.CRASHES)
+    assert watch.scenario_of(table, watch.Options(here, scenario=7)) == (7, "chosen by hand")

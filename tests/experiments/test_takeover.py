@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +12,6 @@ import pytest
 from PIL import Image
 
 from experiments import takeover
-from experiments.study.compute import batches
 from experiments.study.compute.entrants import several
 from experiments.study.compute.takeover import COLUMNS
 from experiments.support.errors import UserError
@@ -27,8 +25,7 @@ def make(env):
 
 
 @pytest.fixture(autouse=True)
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batches, "open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
+def few(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(takeover, "BATCH", 4)
     monkeypatch.setattr(takeover, "check_dynamics", lambda _: None)
 
@@ -56,17 +53,6 @@ def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_pa
     assert read_json(tmp_path / "takeover.json")["answers"] == found["answers"]
     again = {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
     assert again.keys() == files.keys() and sum(again[path] != files[path] for path in files) == 1
-
-
-@pytest.mark.slow
-def test_a_driver_against_itself_makes_no_difference(tmp_path: Path, capsys) -> None:
-    options = replace(OPTIONS, a="random", b="random", scenarios=4, others=("random",), out=tmp_path)
-    assert takeover.takeover(options, []) == 0
-    assert "caution: no difference; skill: too few" in capsys.readouterr().out
-    found = read_json(tmp_path / "takeover.json")
-    assert {row["estimate"] for row in found["answers"]} == {0.0}
-    rates = pd.DataFrame(found["rates"]).groupby("leader")["crashed"]
-    assert (rates.nunique() == 1).all()  # beside the two, too
 
 
 @pytest.mark.parametrize(

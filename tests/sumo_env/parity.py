@@ -1,30 +1,16 @@
-"""States of highway-env, from episodes and at random, as `sumo_env` sees them: a scene and the ego's state."""
+"""States of highway-env at random, as `sumo_env` sees them: a scene and the ego's state."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.tasks.base import EgoState
-from tests.sumo_env.rollout import drive
 
 SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12, "vehicles_density": 2, "duration": 12}}
-
-
-class Step(NamedTuple):
-    """What highway-env said of a step; the first of an episode has no action."""
-
-    env: ScenarioEnv
-    action: int | None
-    observation: np.ndarray
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: dict[str, Any]
 
 
 def make(task: str, **config: Any) -> ScenarioEnv:
@@ -59,17 +45,6 @@ def ego_state(env: ScenarioEnv, action: int | None) -> EgoState:
         scene=scene,
         lanes_abreast=road.count(start, end),
     )
-
-
-def episodes(env: ScenarioEnv, seeds: range) -> Iterator[Step]:
-    """Steps of episodes under random actions."""
-    for seed in seeds:
-        rng = np.random.default_rng(seed)
-        observation, info = env.reset(seed=seed)
-        yield Step(env, None, observation, 0.0, False, False, info)
-        actions = rng.integers(env.action_space.n, size=1000).tolist()
-        for action, result in zip(actions, drive(env, actions), strict=False):
-            yield Step(env, action, *result)
 
 
 def scatter(env: ScenarioEnv, rng: np.random.Generator) -> None:

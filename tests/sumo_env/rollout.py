@@ -85,6 +85,21 @@ def assert_same_bits(ours: Any, theirs: Any, left_out: Collection[str] = ()) -> 
         assert getattr(ours, "dtype", None) == getattr(theirs, "dtype", None)
 
 
+def mismatch(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
+    """What two records of one contact do not agree on."""
+    apart = [float(np.hypot(crash["relative_x"], crash["relative_y"])) for crash in (one, other)]
+    turn = (one["relative_heading"] + other["relative_heading"] + np.pi) % (2 * np.pi) - np.pi
+    wrong = []
+    if abs(apart[0] - apart[1]) > 1e-6 or abs(turn) > 1e-6:
+        wrong.append(f"one contact at {apart[0]:.2f} and {apart[1]:.2f} m, {turn:.2f} rad")
+    wrong += [
+        f"one contact with two {key}s: {one[key]}, {other[key]}"
+        for key in ("type", "time", "detected_by")
+        if one[key] != other[key]
+    ]
+    return wrong
+
+
 if __name__ == "__main__":
     for task, seed, config in json.loads(sys.argv[1]):
         print(digest(rollout(task, seed, config)))

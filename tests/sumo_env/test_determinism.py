@@ -25,17 +25,6 @@ CROWDED: dict[str, dict[str, Any]] = {
 CASES = [(task, 5, {**CROWDED[task], "risk": risk}) for task in TASKS for risk in (0.0, 1.0)]
 
 
-@pytest.mark.parametrize("risk", [0.0, 1.0])
-@every_task
-def test_twice_in_one_process(task: str, risk: float) -> None:
-    """With other episodes in between."""
-    env = DrivingEnv(task, {**CROWDED[task], "risk": risk})
-    first = record(env, 11)
-    for other in range(3):
-        record(env, other)
-    np.testing.assert_array_equal(record(env, 11), first)
-
-
 def test_in_another_process_and_another_order() -> None:
     """No state of SUMO, of numpy's global generator or of hash seeds leaks into an episode."""
     here = [digest(rollout(*case)) for case in CASES]

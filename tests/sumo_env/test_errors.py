@@ -66,14 +66,12 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", [("vehicles_count", 3)], "must be a dict"),
     ("sumo/highway", {"vehicles_count": "50"}, "a number"),
     ("sumo/highway", {"duration": 0}, "(0, 100000]"),
-    ("sumo/highway", {"lanes_count": 7}, "(0, 6]"),
     ("sumo/highway", {"initial_lane_id": 4}, "'lanes_count'"),
     ("sumo/highway", {"policy_frequency": 16}, "'simulation_frequency' (15)"),
     ("sumo/highway", {"policy_frequency": 15, "simulation_frequency": 10}, "at least"),
     ("sumo/highway", {"normalize_reward": "yes"}, "True or False"),
     ("sumo/highway", {"centering_position": 0.3}, "2 numbers"),
     ("sumo/highway", {"ego_spacing": 1e9}, "not on route"),
-    ("sumo/highway", {"ego_spacing": -1}, "[0, inf]"),
     ("sumo/highway", {"reward_speed_range": [0, 0]}, "two different speeds"),
     ("sumo/highway", {"collision_reward": 0.5}, "cannot be normalised"),
     ("sumo/highway", {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "SUMO drives"),
@@ -85,7 +83,6 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/u-turn", {"vehicles_count": 13}, "at most 12"),
     ("sumo/roundabout", {"incoming_vehicle_destination": 5}, "0, 1 or 2"),
     ("sumo/intersection", {"destination": "o9"}, "'o1', 'o2', 'o3' or None"),
-    ("replica/highway", [("risk", 0)], "must be a dict"),
     ("replica/two-way", {"risk": 1.0}, 'scenarios="seeded"'),
     ("replica/highway", {"drivers": "measured"}, "for sumo"),
     # observations
@@ -102,10 +99,8 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", acts(META, target_speeds=[]), "two rising numbers, not []"),
     ("sumo/highway", {"screen_width": 600.5}, "whole number, not 600.5"),
     ("sumo/highway", sees(TABLE, features_range={"speed": [0, 1]}), "'speed'"),
-    ("sumo/highway", sees(TABLE, vehicles_count=10**9), "from 1 to 10000"),
     ("sumo/highway", sees({"type": "KinematicsGoal"}), "not here"),
     ("sumo/highway", sees(LIDAR, cells=0), "'cells'"),
-    ("sumo/highway", sees(LIDAR, maximum_range=0), "'maximum_range'"),
     ("sumo/u-turn", sees(GRID, features=["speed"]), "'speed'"),
     ("sumo/u-turn", sees(GRID, absolute=True), "'absolute'"),
     ("sumo/u-turn", sees(GRID, grid_size=[[-5, 5]]), "'grid_size'"),
@@ -113,7 +108,6 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/u-turn", sees(GRID, features_range={"vx": [3]}), "'features_range'"),
     *(("sumo/highway", sees(PICTURES, **{key: value}), key) for key, value in WRONG_PICTURES),
     # actions
-    ("sumo/highway", acts(META, target_speeds=[30, 20]), "rising numbers"),
     ("sumo/highway", acts(META, target_speeds=[-5, 0, 5]), "replica/*"),
     ("sumo/highway", acts(META, longitudinal=False, lateral=False), "lateral or both"),
     ("sumo/highway", acts(META, lateral="SUMO"), "True or False"),
@@ -142,8 +136,6 @@ OPTIONS: list[tuple[dict[str, Any], str]] = [
     ({"risk_rate": {"cut_in": 0.1}}, "'risk_rates', 'risk_ranges'"),
     ({"risk_rates": {"cutin": 0.1}}, "some of cut_in, brake"),
     ({"risk_rates": {"cut_in": 0.3}}, "no effect at risk 0"),
-    ({"risk_rates": {"cut_in": 1e12}}, "[0, 1000]"),
-    ({"risk_ranges": {"tau": [0.1, 0.2]}}, "no effect at risk 0"),
     ({"risk_ranges": {"tau": 5}}, "two rising numbers in (0, 1000]"),
     ({"risk_ranges": {"not_giving_way": [0, 1]}}, "a number"),
     ({"calibration": {"tau": math.nan}}, "a number"),
@@ -152,16 +144,11 @@ OPTIONS: list[tuple[dict[str, Any], str]] = [
     ({"calibration": {"tau": 2.0}, "scenario": None}, "either 'scenario' or"),
     ({"scenario": 3}, "a Scenario"),
     ({"event_factor": 2.0}, "both be numbers"),
-    ({"event_reach": 2.0}, "both be numbers"),
     ({"event_factor": "2", "event_reach": 30.0}, "both be numbers"),
-    ({"event_factor": True, "event_reach": 30.0}, "both be numbers"),
     ({"event_factor": 0.5, "event_reach": 30.0}, "from 1 on"),
     ({"event_factor": math.nan, "event_reach": 30.0}, "from 1 on"),
-    ({"event_factor": math.inf, "event_reach": 30.0}, "from 1 on"),
     ({"event_factor": 1e9, "event_reach": 30.0, "config": {"risk": 1.0}}, "at most 1000 events"),
     ({"event_factor": 2.0, "event_reach": 0.0}, "above 0 m"),
-    ({"event_factor": 2.0, "event_reach": math.nan}, "above 0 m"),
-    ({"event_factor": 2.0, "event_reach": 30.0, "config": {"risk": 0.0}}, "no effect at risk 0"),
     ({"event_factor": 2.0, "event_reach": 30.0, "scenario": None}, "either 'scenario' or"),
 ]
 
@@ -332,7 +319,6 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (attributes(speedFactor=2.0), ValueError, "no effect"),
     (attributes(length=200.0), ValueError, "length"),
     (attributes(accel=-1), ValueError, "accel of 'odd' has to be above 0"),
-    (attributes(accel="fast"), ValueError, "above 0, not 'fast'"),
     (attributes(vClass="lorry"), ValueError, "no vClass"),
     # options of SUMO
     (of_sumo("--net-file", "x.net.xml"), ConfigError, "SumoDrivingEnv"),
@@ -359,17 +345,13 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     # several learning cars
     (fleet("CartPole-v1"), ConfigError, "not an environment of sumo_env"),
     (fleet("replica/highway-v0", remove_crashed=True), ConfigError, "crashed cars stay"),
-    (fleet("replica/highway-v0", live="sumo-gui"), TypeError, "on SUMO"),
     (fleet("sumo/highway-v0", controlled_vehicles=2), TypeError, "set by config"),
     (fleet("sumo/highway-v0", vehicles=["a"]), TypeError, "SUMO's files"),
     *((lambda actions=actions: fleet("sumo/highway-v0")().step(actions), ValueError, "reset()")  # type: ignore[call-arg]
       for actions in ({"car_0": 1}, [1])),
     (lambda: fleet("sumo/highway-v0")().action_space("car_9"), ConfigError, "'car_0'"),  # type: ignore[call-arg]
-    (fleet("sumo/highway-v0", live="gui"), ConfigError, "'sumo-gui'"),
     (fleet("sumo/highway-v0", output_dir="out"), ConfigError, "output_dir"),
     (fleet("sumo/highway-v0", {"manual_control": True}), ConfigError, "'manual_control'"),
-    (fleet("sumo/two-way-v0", {"controlled_vehicles": 3}), ConfigError, "at most 2"),
-    (fleet("replica/exit-v0", {"controlled_vehicles": 2}), ConfigError, "at most 1"),
 ]  # fmt: skip
 
 

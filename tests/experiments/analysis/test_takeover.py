@@ -167,6 +167,7 @@ def test_too_few_moments_or_pairs_and_dangers_everywhere_claim_nothing() -> None
         ((0.2, 0.01), (0.1, 0.01), (0.1, 0.1), ("control is more careful", "control is more skilled")),
         ((-0.2, 0.06), (-0.1, 0.01), (-0.3, 0.1), ("not decided", "depends on whose moments")),
         ((-0.2, 0.06), (-0.1, 0.06), (-0.1, -0.1), ("not decided", "not decided")),
+        ((0.0, 1.0), (0.0, 1.0), (0.0, 0.0), ("no difference", "no difference")),
     ],
 )
 def test_more_skilled_is_who_crashes_less_from_the_moments_of_both(caution, skill, by_leader, said) -> None:

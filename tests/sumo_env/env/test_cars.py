@@ -17,7 +17,7 @@ from sumo_env.env import DrivingEnv
 from sumo_env.sumo.learning_car import Car
 from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import car_id
-from tests.sumo_env.fleets import mismatch
+from tests.sumo_env.rollout import mismatch
 
 pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test, parallel_seed_test

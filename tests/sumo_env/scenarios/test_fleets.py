@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,6 @@ import pytest
 
 import sumo_env
 from sumo_env.scenarios import SumoDrivingEnv
-from tests.processes import ended
 from tests.sumo_env.plans import SUMO_DRIVES, build, floating_car_data, needs_sumo, route_file
 
 pytest.importorskip("pettingzoo")
@@ -171,20 +168,3 @@ def test_for_super_suit_all_agents_act_from_the_beginning(road: tuple[Path, Path
     assert found[-1][3].all() and not any(result[3].any() for result in found[:-1])
     assert not any(result[2].any() for result in found)
     envs.close()
-
-
-AT_ONCE = 10
-
-
-@pytest.mark.parametrize(
-    "first", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(10, 300, AT_ONCE))]
-)
-def test_fleets_end_by_themselves_or_by_an_error_of_the_simulator(first: int) -> None:
-    """Nobody arrives who has not driven, is paid more than there is to earn, or touches a car that saw it otherwise."""
-    done = ended("-m", "tests.sumo_env.fleets", first, AT_ONCE)
-    assert done.returncode == 0, done.stderr[-2000:]
-    fleets = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    assert [fleet["seed"] for fleet in fleets] == list(range(first, first + AT_ONCE))
-    assert {fleet["seed"]: fleet["wrong"] for fleet in fleets if fleet["wrong"]} == {}
-    endings = sum((Counter(fleet["endings"]) for fleet in fleets), Counter[str]())
-    assert {"crash", "arrived", "removed", "pairs"} <= set(endings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import subprocess
+from itertools import combinations
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -18,6 +19,7 @@ from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand
 from tests.sumo_env.plans import SUMO, Rows, floating_car_data, needs_sumo
+from tests.sumo_env.rollout import mismatch
 from tests.sumo_env.scenarios.demand import drawn
 from tests.sumo_env.scenarios.files import SCENARIOS, written
 
@@ -151,7 +153,7 @@ def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(
 ) -> None:
     """One car or several, of any kind and with any way, driven by SUMO or by an agent, among risky drivers or not.
 
-    Without commands and risk everybody is where ``sumo`` has them.
+    Without commands and risk everybody is where ``sumo`` has them; two cars that touch tell the same of it.
     """
     rng = Random(seed)
     net, routes, beside = drawn(tmp_path, rng)
@@ -166,6 +168,7 @@ def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(
         routes=routes,
         additional=beside,
         vehicles=CARS[: rng.choice([1, 3])],
+        remove_crashed=seed % 4 == 1,
         sumo_options=options,
     )
     env.reset(seed=seed)
@@ -184,6 +187,10 @@ def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(
             scenes.append((begin + first.scene.time, first.scene))
     command = first.sumo_command
     env.close()
+    crashes = {name: driven[-1][1]["crash"] for name, driven in steps.items() if driven[-1][1]["crash"]}
+    for one, other in combinations(crashes, 2):
+        if (crashes[one]["other"], crashes[other]["other"]) == (other, one):
+            assert mismatch(crashes[one], crashes[other]) == []
     said = {trip.get("id"): trip for trip in ElementTree.parse(trips).getroot()}
     assert not scenes or differences(scenes, plain(command, tmp_path, scenes), 0.1) == []
     for name, driven in steps.items():

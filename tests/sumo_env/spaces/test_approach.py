@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import sumo_env
 from experiments.backends import BACKENDS, make_env
 from sumo_env.config import ConfigError
 from sumo_env.scenarios import SumoDrivingEnv
@@ -124,20 +123,6 @@ def test_on_a_network_of_ones_own_they_are_along_the_axes_of_the_table(
     for _ in range(25):
         assert_told(observation, absolute)
         observation, *_ = env.step(env.action_space.sample())
-    env.close()
-
-
-def test_every_one_of_several_cars_is_told_of_its_own() -> None:
-    """The cars see each other, from either side."""
-    pytest.importorskip("pettingzoo")
-    config = {"controlled_vehicles": 2, "observation": {**RAW, "see_behind": True}}
-    env = sumo_env.parallel_env("sumo/two-way-v0", config)
-    first, other = env.reset(seed=0)[0].values()
-    for table in (first, other):
-        assert_told(table, absolute=False)
-    there, back = (table[1:][table[1:, 0] == 1.0, 5:] for table in (first, other))
-    back = back * [-1, -1, -1, -1, 1, 1, 1]
-    assert (np.abs(there[:, None] - back).max(2) < 1e-4).sum() == 1
     env.close()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from itertools import chain
 from typing import Any
 
 import gymnasium as gym
@@ -27,7 +28,8 @@ from sumo_env.spaces.factory import interface
 from sumo_env.tasks import TASKS
 from tests.tasks import highway_env_task
 
-from ..parity import ego_state, episodes, make, scatter, stock
+from ..parity import ego_state, make, scatter, stock
+from ..rollout import drive
 
 ALL_FEATURES = [
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
@@ -72,11 +74,12 @@ def assert_equal(env: ScenarioEnv, theirs: ObservationType, observation: dict[st
 @highway_env_task
 def test_equal_throughout_episodes(task: str, risk: float) -> None:
     env = make(task, risk=risk)
-    for step in episodes(env, range(1)):
-        if step.action is None:  # the default range of y is that of an episode's first state
-            chosen = [env.config["observation"], *KINEMATICS, *GRIDS]
-            theirs = [observation_factory(env, observation) for observation in chosen]
-        assert ego_state(env, step.action).lane == env.vehicle.lane_index
+    env.reset(seed=0)  # the default range of y is that of an episode's first state
+    chosen = [env.config["observation"], *KINEMATICS, *GRIDS]
+    theirs = [observation_factory(env, observation) for observation in chosen]
+    actions = np.random.default_rng(0).integers(env.action_space.n, size=1000).tolist()
+    for action, _ in zip([None, *actions], chain([()], drive(env, actions)), strict=False):
+        assert ego_state(env, action).lane == env.vehicle.lane_index
         for kind, observation in zip(theirs, chosen, strict=True):
             assert_equal(env, kind, observation)
 

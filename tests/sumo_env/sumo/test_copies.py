@@ -8,6 +8,7 @@ import itertools
 import os
 import signal
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pytest
 from sumo_env.env import DrivingEnv
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
+from sumo_env.sumo import pipe
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import TASKS
 from tests.processes import children, descriptors, ends
@@ -135,6 +137,35 @@ def test_whatever_is_copied_goes_on(kind: str, tmp_path: Path) -> None:
     to_the_end(env, twin, copy.deepcopy(twin))
     for one in (env, twin):
         one.close()
+
+
+# -- systems without the fork of a process -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_fork(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on Windows and macOS: a process that has loaded SUMO is not forked."""
+    monkeypatch.setattr(pipe, "FORKS", False)
+    monkeypatch.setattr("sumo_env.sumo.process._Worker.fork", None)
+
+
+def test_workers_and_copies_drive_the_same_episode(no_fork: None) -> None:
+    ids = ["sumo/roundabout-v0"] * 2
+    with closing(gym.make(ids[0])) as here, closing(gym.make(ids[1])) as there:
+        for env in (here, there):
+            env.reset(seed=3)
+        envs: list[Any] = [here, there]
+        for first, second in zip(*(drive(env, [1, 0, 2]) for env in envs), strict=True):
+            assert_same_bits(first, second)
+        copies = [copy.deepcopy(env) for env in envs]
+        copies.append(copy.deepcopy(copies[0]))
+        copies += [env.unwrapped.imagine(5) for env in envs]
+        for first, *others in zip(*(drive(env, [3, 1, 4]) for env in (*envs, *copies)), strict=True):
+            for other in others[:-2]:
+                assert_same_bits(first, other)
+            assert_same_bits(*others[-2:])
+        for env in copies:
+            env.close()
 
 
 # -- what planners do --------------------------------------------------------------------------------------

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import libsumo
 import numpy as np
@@ -12,9 +11,8 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.world import SumoSimulator
-from sumo_env.tasks import TASKS, get_task
+from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import Scenario
-from tests.sumo_env.rollout import drive
 from tests.sumo_env.situations import draw, drivers
 from tests.tasks import every_task
 
@@ -41,64 +39,6 @@ def test_nothing_moves_unless_sumo_steps(start: Start, task: str, monkeypatch: p
     for field in ("x", "y", "heading"):
         np.testing.assert_array_equal(getattr(env.scene, field), getattr(before, field))
     np.testing.assert_array_equal(env.scene.speed[1:], before.speed[1:])
-
-
-# -- who is commanded --------------------------------------------------------------------------------------
-
-READING = ("get", "subscribe", "unsubscribe")
-PLACING = ("add", "moveTo", "setPreviousSpeed", "setSpeedMode", "setLaneChangeMode", "setSpeedFactor")
-
-
-@pytest.fixture
-def commands(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[str, str]]]:
-    """Every call of libsumo.vehicle that does not only read: (function, vehicle)."""
-    calls: list[tuple[str, str]] = []
-
-    def recorded(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(vehicle: str = "", *arguments: Any, **options: Any) -> Any:
-            calls.append((name, vehicle))
-            return function(vehicle, *arguments, **options)
-
-        return call
-
-    for name in dir(libsumo.vehicle):
-        function = getattr(libsumo.vehicle, name)
-        if callable(function) and not name.startswith(("_", *READING)):
-            monkeypatch.setattr(libsumo.vehicle, name, staticmethod(recorded(name, function)))
-    yield calls
-
-
-@pytest.mark.parametrize("risk", [0.0, 1.0])
-@every_task
-def test_only_the_ego_crashed_vehicles_and_those_in_an_event_are_commanded(
-    commands: list[tuple[str, str]], start: Start, task: str, risk: float
-) -> None:
-    crowded = {**list(TASKS[task].levels.values())[-1], "risk": risk}
-    seen: set[str] = set()
-    for seed in range(4):
-        env = start(task, seed=seed, **crowded)
-        assert {name for _, name in commands} >= set(env.scene.ids)  # the recording works
-        before = set(env.scene.ids)
-        commands.clear()
-        for _ in drive(env, IDLE):
-            scene = env.scene
-            coming = {name for function, name in commands if function == "add"}
-            gone = {name for function, name in commands if function == "remove"}
-            commanded = {
-                name
-                for function, name in commands
-                if function != "remove" and not (name in coming and function in PLACING)
-            }
-            crashed = {name for name, is_crashed in zip(scene.ids, scene.crashed, strict=True) if is_crashed}
-            eventful = {event.vehicle for event in env.scenario.events if event.time < scene.time}
-            assert "ego" in commanded
-            assert commanded <= {"ego"} | crashed | eventful
-            assert gone <= before and not coming & before
-            seen |= commanded
-            before = set(scene.ids)
-            commands.clear()
-    if risk:
-        assert len(seen) > 1  # at least one event
 
 
 # -- what the drivers are ----------------------------------------------------------------------------------

@@ -131,17 +131,6 @@ def test_events_of_vehicles_that_come_later_wait_for_them(frequency: int) -> Non
     assert later and all(start[event.vehicle] <= event.time < 13.0 for event in later)
 
 
-@every_task
-def test_the_dose_changes_drivers_and_adds_events_but_no_place(task: str) -> None:
-    calm, risky = draw(task, 5, risk=0.0), draw(task, 5, risk=1.0)
-    assert calm.events == () and len(risky.events) > 0
-    assert calm.ego == risky.ego
-    for one, other in zip(calm.vehicles, risky.vehicles, strict=True):
-        assert (one.lane, one.s, one.speed) == (other.lane, other.s, other.speed)
-        assert one.driver.type.split("@")[0] == other.driver.type.split("@")[0]
-    assert [(s.step, s.vehicle.id) for s in calm.spawns] == [(s.step, s.vehicle.id) for s in risky.spawns]
-
-
 @pytest.mark.parametrize(("task", "level"), [(t, level) for t in TASKS for level in TASKS[t].levels])
 def test_no_vehicles_overlap_and_all_are_on_their_lane(task: str, level: str) -> None:
     for seed in range(10):

@@ -34,6 +34,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Annotated, Any, Literal
 
+import gymnasium as gym
 import pandas as pd
 import tyro
 
@@ -41,11 +42,12 @@ from agents.rules import CAUTIONS
 from experiments.backends import make_env
 from experiments.study.compute.attainable import Batch, always
 from experiments.study.compute.batches import driven
-from experiments.study.compute.entrants import Entrant, several
+from experiments.study.compute.entrants import Entrant, entrant_of, several
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.foresight import WIDTH
 from experiments.study.design import attainable
 from experiments.study.design.attainable import CONSTANT, MORE, POLICY, SEARCH, place
+from experiments.study.design.experiment import MOST
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks, env_config, level_names
 from experiments.study.design.sheet import GRID, VARIANTS, task_of
@@ -58,7 +60,6 @@ from experiments.support.provenance import provenance
 RULE_DRIVERS = ("idm", *CAUTIONS)
 PLANNER, BY_SUMO = "planner", "sumo"
 SCENARIOS = {"replica": 48, "sumo": 200}  # of each setting and traffic, unless the user says otherwise
-MOST = {PLANNER: 40}
 SIZES, SIZE = {PLANNER: 5, SEARCH: 8}, 50  # scenarios of a batch
 
 
@@ -97,15 +98,26 @@ def drivers(options: Options, task: str, level: int) -> Iterator[tuple[Entrant |
     if options.backend == "replica":
         yield None, SEARCH
         return
-    with closing(make_env("sumo", task_of(task), env_config("sumo", task, level))) as env:
+    with closing(environment(task, level)) as env:
         inner: Any = env.unwrapped
         for action in inner.actions.values():
             yield always(action).resolved(env), CONSTANT
-        for policies in (*RULE_DRIVERS, PLANNER, BY_SUMO, *options.policies):
+        for name in (*RULE_DRIVERS, PLANNER, BY_SUMO):
             # whoever may stand still has all speeds of SUMO's driver
-            has_more = policies == BY_SUMO and min(inner.target_speeds) > 0
-            for entrant in several(policies, task, level_names(task)[level - 1]):
-                yield entrant.resolved(env), MORE if has_more else POLICY
+            has_more = name == BY_SUMO and min(inner.target_speeds) > 0
+            yield (
+                entrant_of(name, task, level_names(task)[level - 1]).resolved(env),
+                MORE if has_more else POLICY,
+            )
+    for policies in options.policies:
+        for entrant in several(policies, task, level_names(task)[level - 1]):
+            with closing(environment(task, level, entrant)) as env:
+                yield entrant.resolved(env), POLICY
+
+
+def environment(task: str, level: int, driver: Entrant | None = None) -> gym.Env[Any, Any]:
+    """Of a setting on SUMO, as an agent observes it."""
+    return make_env("sumo", task_of(task), env_config("sumo", task, level, driver.config if driver else {}))
 
 
 def batches(options: Options) -> tuple[list[Batch], list[str]]:
@@ -124,8 +136,9 @@ def batches(options: Options) -> tuple[list[Batch], list[str]]:
     check_dynamics((options.backend, task) for task in dict.fromkeys(map(task_of, tasks)))
     found, kinds = list[Batch](), list[str]()
     for task, level in [(task, k) for task, own in choose_levels(tasks, options.levels).items() for k in own]:
-        config, known = env_config(options.backend, task, level), dynamics(options.backend, task_of(task))
+        known = dynamics(options.backend, task_of(task))
         for driver, kind in drivers(options, task, level):
+            config = env_config(options.backend, task, level, driver.config if driver else {})
             name, width = (driver.name, 0) if driver else (SEARCH, options.width)
             scenarios = options.scenarios or SCENARIOS[options.backend]
             count, size = min(scenarios, MOST.get(name, scenarios)), SIZES.get(name, SIZE)

@@ -29,10 +29,10 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import pandas as pd
 import tyro
@@ -41,7 +41,7 @@ from experiments.analysis import takeover as analysis
 from experiments.reporting.tables import chosen
 from experiments.reporting.takeover import from_moments, table, takeover_figure
 from experiments.study.compute.batches import driven
-from experiments.study.compute.entrants import entrant_of, several
+from experiments.study.compute.entrants import Entrant, entrant_of, several
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, COSTLY, OTHERS, PAIR, WINDOW, Batch, Question
 from experiments.study.design.experiment import assignments
@@ -76,7 +76,8 @@ class Options:
     level: str = ""
     """Its traffic level by name; by default the lightest."""
     config: Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ..")] = ()
-    """Keys of the environment's configuration that both were trained with (values as in JSON, or plain words)."""
+    """Keys of the environment's configuration that both were trained with (values as in JSON, or plain words); what
+    stored agents observe is known."""
     traffics: tuple[str, ...] = TRAFFICS
     """Traffics by name (docs/traffic-and-risk.md), each answered by itself."""
     scenarios: int = 50
@@ -126,7 +127,10 @@ def questions(options: Options) -> list[list[Question]]:
         raise UserError(
             f"the first of A and the first of B are a pair: name as many of both, not {len(a)} and {len(b)}"
         )
-    changes = assignments(options.config, "--config", "policy_frequency=2")
+    changes = {
+        **observation_of([*a, *b]),
+        **assignments(options.config, "--config", "policy_frequency=2"),
+    }
     with in_words():
         config = env_config("sumo", options.task, level_names(options.task).index(level) + 1, changes)
     what = options.task, level, config
@@ -144,6 +148,18 @@ def questions(options: Options) -> list[list[Question]]:
         found.append([replace(first, traffic=traffic) for traffic in options.traffics])
     check_dynamics([("sumo", task_of(options.task))])
     return found
+
+
+def observation_of(drivers: Iterable[Entrant]) -> dict[str, Any]:
+    """The configuration of what agents among them observe. Raises UserError where they observe different things."""
+    known = [one for one in drivers if one.observation]
+    for one in known[1:]:
+        if one.observation != known[0].observation:
+            raise UserError(
+                f"{known[0].name} and {one.name} were trained with different observations, so that neither can be "
+                "shown what the other one sees"
+            )
+    return known[0].config if known else {}
 
 
 def drive(options: Options, asked: Sequence[Sequence[Question]]) -> pd.DataFrame:

@@ -30,7 +30,7 @@ from experiments.study.compute.cells import compute
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.fingerprint import check_dynamics, check_learners
-from experiments.study.design.levels import env_config
+from experiments.study.design.levels import is_usual
 from experiments.study.design.presets import asked_preset, cells_of, of_preset
 from experiments.study.results.store import Store
 from experiments.study.results.working import LOG
@@ -88,7 +88,7 @@ def train(options: Options, arguments: list[str]) -> int:
 def following(directory: Path, agents: Sequence[Cell]) -> list[str]:
     """Commands that take these agents: the test is on SUMO, in each task's own configuration, and of our learners."""
     code = next((cell.source for cell in agents if cell.source), None)
-    usual = all(cell.env_config == env_config("sumo", cell.task, cell.level) for cell in agents)
+    usual = all(is_usual("sumo", cell.task, cell.level, cell.env_config) for cell in agents)
     shown = [["evaluate"]] if usual and not code else []
     shown.append(["watch", "--code", code] if code else ["watch"])
     return [shlex.join(["python", f"experiments/{name}.py", str(directory), *more]) for name, *more in shown]

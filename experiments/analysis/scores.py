@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.study.design import attainable
 from experiments.study.design.cell import tested_on
-from experiments.study.design.levels import env_config, tasks_known
+from experiments.study.design.levels import is_usual, tasks_known
 from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.loaded import AGENT, SETTING, Results
@@ -46,7 +46,7 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
     seconds = of_cell(
         lambda key: key["env_config"].get("duration", TASKS[task_of(key["task"])].defaults["duration"])
     )
-    scores = attainable.scores(episodes).where(of_cell(_is_marked))
+    scores = attainable.scores(episodes).where(of_cell(is_marked))
     own = {name: outcome.of for name, outcome in outcomes.items() if outcome.of is not None}
     return episodes.assign(
         **own,
@@ -60,10 +60,10 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
     )
 
 
-def _is_marked(key: Mapping[str, Any]) -> bool:
-    """Whether a cell is tested as those who mark its returns were driven: on SUMO, and nothing else is configured."""
+def is_marked(key: Mapping[str, Any]) -> bool:
+    """Whether a cell is tested as those who mark its returns were driven: on SUMO, and as the task is configured."""
     backend, _, config = tested_on(key)
-    return backend == "sumo" and config == env_config(backend, key["task"], key["level"])
+    return backend == "sumo" and is_usual(backend, key["task"], key["level"], config)
 
 
 def undrivable(results: Results) -> list[str]:
@@ -72,7 +72,7 @@ def undrivable(results: Results) -> list[str]:
     there = {
         f"{key['task']} {key['level_name']}"
         for key in keys
-        if key["env_config"] == env_config(key["backend"], key["task"], key["level"])
+        if is_usual(key["backend"], key["task"], key["level"], key["env_config"])
     }
     return [setting for setting in attainable.undrivable(attainable.stored()) if setting in there]
 

@@ -32,6 +32,7 @@ Array = NDArray[np.float32]
 POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 _DIRECTION, OFFSETS = ("cos_d", "sin_d"), ("long_off", "lat_off", "ang_off")
 FEATURES = (*POSE, *_DIRECTION, *OFFSETS)
+USUAL = POSE[:5]  # where none are named
 RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
 # [m] along the lane; what is further behind is seen by `see_behind`, obstacles never
 BEHIND = -2.0 * VEHICLE_LENGTH
@@ -74,7 +75,7 @@ class Kinematics:
             ConfigError: unknown feature, order or malformed range.
         """
         given = {**KINEMATICS, **config}
-        features = given["features"] or ("presence", "x", "y", "vx", "vy")
+        features = given["features"] or USUAL
         if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
         known = (*FEATURES, *APPROACH, *((*ON_ITS_WAY, *ON_REQUEST) if on_its_way else ()))

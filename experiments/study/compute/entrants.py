@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -37,7 +37,8 @@ Made = tuple[
 class Entrant:
     """Who drives.
 
-    place: task and level that it was trained for, if it was trained here. load: the policy for an environment; raises
+    place: task and level that it was trained for, if it was trained here. observation: the entry of the environment's
+    configuration that it was trained with, else the task's own is shown. load: the policy for an environment; raises
     ValueError where it does not fit. digest: of its weights and its code, once it is `resolved`.
     """
 
@@ -45,6 +46,12 @@ class Entrant:
     place: Place | None
     load: Callable[[Env], Made]
     digest: str = ""
+    observation: Mapping[str, Any] | None = None
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """What its environments have to have configured."""
+        return {"observation": self.observation} if self.observation else {}
 
     def resolved(self, env: Env) -> Entrant:
         """With its digest in this environment. Raises UserError where it cannot be made or does not fit."""
@@ -166,9 +173,8 @@ def _stored(directory: Path, part: str) -> list[Entrant]:
             continue
         if weights := store.weights(name):
             place = key["task"], key["level_name"]
-            found[record["timing"]["finished"] + name] = Entrant(
-                name, place, partial(_agent, name, key, weights)
-            )
+            load, seen = partial(_agent, name, key, weights), key["env_config"]["observation"]
+            found[record["timing"]["finished"] + name] = Entrant(name, place, load, observation=seen)
     if not found:
         named = f" and {part!r} in its name" if part else ""
         raise UserError(f"no agent in {directory} has weights{named}: experiments/train.py --out makes some")
@@ -185,7 +191,8 @@ def _published(policy: str) -> list[Entrant]:
         arms[arm] = None
         if policy in (name, arm):
             place = about["task"], setting.removeprefix(f"{about['task']}-")
-            found.append(Entrant(name, place, partial(_loaded, name)))
+            seen = about["config"].get("observation")
+            found.append(Entrant(name, place, partial(_loaded, name), observation=seen))
     if not found:
         raise unknown("policy", policy, [*RULES, *arms, "FILE:MAKE", "a zip file", "a directory"])
     return found

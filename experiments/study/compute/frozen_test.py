@@ -37,7 +37,7 @@ def levels_of(task: str) -> tuple[str, ...]:
 def drive(entrant: Entrant, scenarios: Sequence[BenchmarkScenario]) -> tuple[pd.DataFrame, str]:
     """The episodes of one task, level and traffic, with its name, and the digest of their scenarios."""
     rows, drawn, first = [], [], scenarios[0]
-    with closing(opened(first)) as env:
+    with closing(opened(first, entrant)) as env:
         seen, policy = entrant.make(env)
         for one in scenarios:
             rows.append({"scenario": one.number, **episode(entrant, seen, policy, one)})
@@ -66,9 +66,10 @@ def episode(
         raise UserError(f"{where}: {in_a_line(error)}") from error
 
 
-def opened(of: BenchmarkScenario, render_mode: str | None = None, **view: Any) -> Any:
-    """The environment of a scenario. view: keys of its pictures."""
-    return gym.make(f"sumo_env:{of.id}", config={**of.config, **view}, render_mode=render_mode)
+def opened(of: BenchmarkScenario, driver: Entrant, render_mode: str | None = None, **view: Any) -> Any:
+    """The environment of a scenario, as its driver observes it. view: keys of its pictures."""
+    config = {**of.config, **driver.config, **view}
+    return gym.make(f"sumo_env:{of.id}", config=config, render_mode=render_mode)
 
 
 def resolved(
@@ -83,7 +84,7 @@ def resolved(
     for own in groups.values():
         place = own[0].task, own[0].level
         if place not in found:
-            with closing(opened(own[0])) as env:
+            with closing(opened(own[0], who[place])) as env:
                 found[place] = who[place].resolved(env)
             drive(found[place], own[:1])
     return found

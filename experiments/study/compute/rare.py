@@ -60,7 +60,7 @@ class Question:
     @property
     def config(self) -> dict[str, Any]:
         """Of the environment."""
-        return {**level_config(self.task, self.level), "risk": self.dose}
+        return {**level_config(self.task, self.level), **self.driver.config, "risk": self.dose}
 
     @property
     def events(self) -> float:

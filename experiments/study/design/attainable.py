@@ -35,12 +35,17 @@ def place(task: str, level_name: str, traffic: str) -> str:
 
 def marks(task: str, level_name: str, traffic: str) -> tuple[float, float]:
     """The returns that are score 0 and 1; NaN where nothing is stored, or no policy is above a constant action."""
-    drivers = stored().get(place(task, level_name, traffic), {}).get("drivers", {}).values()
-    best = {
-        kind: max((one["return"] for one in drivers if one["kind"] == kind), default=nan)
+    low, high = ends(stored().get(place(task, level_name, traffic), {}).get("drivers", {}))
+    return (low, high) if low < high else (nan, nan)
+
+
+def ends(drivers: Mapping[str, Any]) -> tuple[float, float]:
+    """The mean returns of the best constant action and of the best policy among drivers of a place; NaN without one."""
+    low, high = (
+        max((one["return"] for one in drivers.values() if one["kind"] == kind), default=nan)
         for kind in (CONSTANT, POLICY)
-    }
-    return (best[CONSTANT], best[POLICY]) if best[POLICY] > best[CONSTANT] else (nan, nan)
+    )
+    return low, high
 
 
 def scores(episodes: pd.DataFrame) -> pd.Series:

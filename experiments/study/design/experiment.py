@@ -17,7 +17,14 @@ from experiments.backends import BACKENDS, MakeEnv, make_env
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED
 from experiments.study.design.cell import LEARNER, Cell, tested_on
 from experiments.study.design.fingerprint import dynamics, learner_name
-from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks, env_config, level_names
+from experiments.study.design.levels import (
+    StudyTasks,
+    choose_levels,
+    choose_tasks,
+    env_config,
+    level_names,
+    with_features,
+)
 from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.study.design.training_rules import RULES, TrainingRules
@@ -25,7 +32,7 @@ from experiments.support.arguments import Flag, argument
 from experiments.support.errors import UserError, check_known, in_words
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
-PLANNED = 100  # test episodes of `drivers` in each traffic, at most
+MOST = {"planner": 40, "clairvoyant": 40}  # test episodes in each traffic at most, of drivers that take long
 Dynamics = Callable[[str, str], str]
 MOST_SEEDS = 1000  # in an arm: beyond, only listing the cells takes minutes
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
@@ -44,8 +51,8 @@ class Experiment:
     learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `TrainingRules`, before
     updates, network, settings and crash_reward, which are the same for all tasks. gate_episodes: episodes in each
     traffic for the gates. further_episodes: of a further test in each traffic, at most. lightest: further traffics, for
-    the lightest level alone (of SUMO's drivers on SUMO). at_ends: by task an arm more, for the lightest and the densest
-    level where no arms are named.
+    the lightest level alone (of SUMO's drivers on SUMO). levels_of: by task the levels, where none are
+    named; by default all of the tasks of the study.
     """
 
     preset: Annotated[str, argument("NAME")]
@@ -86,6 +93,8 @@ class Experiment:
     config: Annotated[Names, argument("KEY=VALUE ...")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words);
     observation.features=[...] sets one key of an entry."""
+    features: Annotated[Names, argument("NAME ...")] = ()
+    """What agents observe of each vehicle beside the task's own features (docs/environments/common.md)."""
     crash_reward: Annotated[float | None, argument("X")] = None
     """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
     learner: Annotated[str, argument("NAME")] = LEARNER
@@ -99,7 +108,7 @@ class Experiment:
     """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
     further_episodes: Hidden[int | None] = None
     lightest: Hidden[Names] = ()
-    at_ends: Hidden[Mapping[str, str]] = field(default_factory=dict)
+    levels_of: Hidden[Mapping[str, tuple[int, ...]]] = field(default_factory=dict)
 
     @in_words()
     def cells(self, dynamics: Dynamics = dynamics, make_env: MakeEnv = make_env) -> list[Cell]:
@@ -114,8 +123,10 @@ class Experiment:
             UserError: something does not exist or makes no sense.
         """
         check_known("backend", (self.backend, *self.test_on), BACKENDS)
-        tasks = choose_tasks(self.tasks, variants=True)
+        tasks = choose_tasks(self.tasks or tuple(self.levels_of), variants=True)
         levels = choose_levels(tasks, self.levels)
+        if not self.levels:
+            levels |= {task: numbers for task, numbers in self.levels_of.items() if task in tasks}
         policies = self._policies()
         check_known("driver", self.drivers, DRIVERS)
         rules = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))
@@ -131,7 +142,7 @@ class Experiment:
                     name for name in dict.fromkeys(self.drivers) if name != "sumo" or self.backend == "sumo"
                 ]
                 cells += [
-                    replace(common, policy=name, test_on=tests_of(common, TRAFFICS, PLANNED))
+                    replace(common, policy=name, test_on=tests_of(common, TRAFFICS, MOST.get(name)))
                     for name in others
                 ]
             for label, source in policies.items():
@@ -157,7 +168,7 @@ class Experiment:
             seed=None,
             policy="",
             profile={"preset": self.preset},
-            env_config=env_config(self.backend, task, level, self._changes),
+            env_config=env_config(self.backend, task, level, self._changes(task)),
             eval={
                 "episodes": self.episodes,
                 "gate_episodes": self.gate_episodes,
@@ -181,8 +192,6 @@ class Experiment:
     def _agents(self, common: Cell) -> Iterator[Cell]:
         """The agents of a task and level: every arm of each training seed."""
         seeds, arms = self.seeds, dict.fromkeys(self.arms or ARMS)
-        if not self.arms and common.task in self.at_ends and is_end(common.task, common.level):
-            arms[self.at_ends[common.task]] = None
         if seeds < 1:
             raise UserError(f"at least one seed is needed, not {seeds}")
         if seeds > MOST_SEEDS:
@@ -227,7 +236,7 @@ class Experiment:
                 yield _tested(agent, new, most)
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
-                config = env_config(other, agent.task, agent.level, self._changes)
+                config = env_config(other, agent.task, agent.level, self._changes(agent.task))
                 where = {
                     "backend": other,
                     "env_config": config,
@@ -280,10 +289,11 @@ class Experiment:
         """Label and fingerprint of a learner of the user's own."""
         return foreign(self.learner) if ":" in self.learner else None
 
-    @property
-    def _changes(self) -> dict[str, Any]:
-        """Of config=("collision_reward=-2", "risk_law=linear")."""
-        return assignments(self.config, "--config", "collision_reward=-2")
+    def _changes(self, task: str) -> dict[str, Any]:
+        """Of config=("collision_reward=-2", "risk_law=linear"), and what is observed where that does not say it."""
+        asked = assignments(self.config, "--config", "collision_reward=-2")
+        is_said = {"observation", "observation.features"} & {*asked}
+        return asked if is_said else with_features(task, self.features) | asked
 
 
 def _digest_of_policy(source: str, cell: Cell, make_env: MakeEnv) -> str:
@@ -294,11 +304,6 @@ def _digest_of_policy(source: str, cell: Cell, make_env: MakeEnv) -> str:
     """
     with closing(make_env(*tested_on(cell.key()))) as env:
         return foreign_policy(source, env)[1]
-
-
-def is_end(task: str, level: int) -> bool:
-    """Whether it is the lightest or the densest level of a task."""
-    return level in (1, len(level_names(task)))
 
 
 def tests_of(cell: Cell, traffics: Iterable[str], most: int | None = None, **where: Any) -> dict[str, Any]:

@@ -12,6 +12,8 @@ from experiments.study.design.sheet import GRID, VARIANTS, sheet, task_of
 from experiments.support.arguments import argument
 from experiments.support.errors import UserError, check_known, unknown
 from sumo_env.config import TYPES, resolve
+from sumo_env.spaces.approach import APPROACH
+from sumo_env.spaces.observation import FEATURES, USUAL
 from sumo_env.tasks import TASKS
 
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
@@ -77,6 +79,24 @@ def env_config(
         )
     config = {name: value for name, value in config.items() if name not in FREE}
     return {**config, **({} if backend == "sumo" else HIGHWAY_ENV), **own}
+
+
+def is_usual(backend: str, task: str, level: int, config: Mapping[str, Any]) -> bool:
+    """Whether a configuration is that of a task at a level, but for what is observed."""
+    return {**config, "observation": None} == {**env_config(backend, task, level), "observation": None}
+
+
+def with_features(task: str, more: Sequence[str]) -> dict[str, Any]:
+    """The change of the configuration after which a table of vehicles has these features beside the task's own.
+
+    Raises:
+        UserError: an unknown feature.
+    """
+    check_known("feature", more, (*FEATURES, *APPROACH))
+    own = env_config("sumo", task, 1)["observation"]
+    if own["type"] not in ("Kinematics", "ExitObservation") or not more:
+        return {}
+    return {"observation.features": [*dict.fromkeys((*(own.get("features") or USUAL), *more))]}
 
 
 def choose_tasks(wanted: Sequence[str], variants: bool = False) -> tuple[str, ...]:

@@ -68,7 +68,7 @@ def beside_another(crash: Crash, name: str) -> Pictures:
 
 def _film(name: str, driver: Entrant, scenario: BenchmarkScenario) -> tuple[str, Pictures, bool]:
     """A title, the pictures, and whether the driver crashes."""
-    with closing(opened(scenario, "rgb_array", **PANEL)) as env:
+    with closing(opened(scenario, driver, "rgb_array", **PANEL)) as env:
         film = Film(env)
         row: dict[str, Any] = episode(driver, *driver.make(env), scenario, film.frame)
     return f"{name}: {ending(row)}", film.pictures, row["crashed"]

@@ -21,7 +21,7 @@ from experiments.study.compute.evaluate import driving
 from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.cell import LEARNER, tested_on
-from experiments.study.design.levels import level_config
+from experiments.study.design.levels import env_config, level_config
 from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import Store
 from experiments.support.errors import run_command
@@ -48,12 +48,17 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         if steps:
             policy = Timed(policy.network, steps)
         actions: Any = env.action_space
+    config = level_config(key["task"], key["level_name"])
+    if (seen_as := key["env_config"]["observation"]) != env_config("sumo", key["task"], key["level"])[
+        "observation"
+    ]:
+        config["observation"] = seen_as
     about: dict[str, Any] = {
         "cell": name,
         "command": f"{command} --cell {name}",
         "commit": record["provenance"]["git"],
         "task": key["task"],
-        "config": level_config(key["task"], key["level_name"]),
+        "config": config,
         "network": key["profile"]["network"],
         "observations": list(space.shape),
         "actions": int(actions.n),

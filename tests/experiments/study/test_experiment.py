@@ -23,10 +23,10 @@ from experiments.study.design.arms import (
 from experiments.study.design.cell import Cell, setting_of_agent
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.fingerprint import known_dynamics
-from experiments.study.design.levels import choose_levels
+from experiments.study.design.levels import choose_levels, level_names
 from experiments.study.design.presets import cells_of, of_preset
-from experiments.study.design.sheet import GRID
-from experiments.study.design.traffic import WITHOUT, unseen_traffics
+from experiments.study.design.sheet import GRID, VARIANTS
+from experiments.study.design.traffic import unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
@@ -125,6 +125,24 @@ def test_options_set_one_key_of_an_entry_and_rules_of_the_training():
             cells_of(replace(asked, settings=(setting,)))
 
 
+def test_features_are_seen_beside_the_task_s_own(tmp_path: Path) -> None:
+    """Unless the whole observation, or its features, are configured."""
+
+    def seen(task: str, **asked) -> list[str] | None:
+        cells = cells_of(of_preset(Experiment, tasks=(task,), levels=(1,), seeds=1, **asked))
+        [found] = {json.dumps(cell.env_config["observation"].get("features")) for cell in cells}
+        return json.loads(found)
+
+    usual = ["presence", "x", "y", "vx", "vy"]
+    assert seen("highway", features=("tcpa", "x")) == [*usual, "tcpa"]
+    assert seen("two-way-brakes", features=("tcpa",), test_on=("replica",)) == [*usual, "tcpa"]
+    assert seen("intersection", features=("dx", "tcpa")) == [*usual, "cos_h", "sin_h", "dx", "tcpa"]
+    assert seen("highway", features=("tcpa",), config=('observation.features=["x"]',)) == ["x"]
+    assert seen("highway", features=("tcpa",), config=('observation={"type": "TimeToCollision"}',)) is None
+    with pytest.raises(UserError, match="tcba"):
+        seen("highway", features=("tcba",))
+
+
 def test_the_name_follows_everything_that_changes_the_result_and_no_label():
     cell, *_, baseline = cells()
     assert cells(preset="quick")[0].name == cell.name
@@ -167,7 +185,7 @@ def test_learners_from_elsewhere_have_the_steps_of_the_study(learner: str):
         return {cell.task: cell.budget[0] for cell in found if cell.kind == "agent"}
 
     ours = steps(preset="study")
-    assert len(ours) == 5 and steps(preset="study", learner=learner) == ours
+    assert len(ours) == 6 and steps(preset="study", learner=learner) == ours
 
 
 @pytest.fixture
@@ -176,34 +194,24 @@ def study() -> list[Cell]:
 
 
 def test_the_study_has_seeds_and_scenarios_that_no_other_preset_has(study) -> None:
-    agents = [cell for cell in study if cell.kind == "agent" and cell.arm in ARMS]
+    agents = [cell for cell in study if cell.kind == "agent"]
     places = {(cell.task, cell.level_name) for cell in agents}
-    assert len(places) == 18 and len(agents) == 18 * 2 * 5
-    assert {(cell.arm, cell.seed) for cell in agents} == {(a, s) for a in ARMS for s in range(300, 305)}
-    asked = {"episodes": 400, "gate_episodes": 100, "first_scenario": 4000}
+    assert len(places) == 18 and ("two-way", "15+6") not in places
+    assert len(agents) == 18 * 2 * 5
+    assert {(cell.arm, cell.seed) for cell in agents} == {(a, s) for a in ARMS for s in range(800, 805)}
+    asked = {"episodes": 400, "gate_episodes": 100, "first_scenario": 8000}
     assert all(cell.eval == asked for cell in study)
 
 
 def test_the_study_has_the_further_tests_of_its_plan(study) -> None:
-    def places(**wanted) -> set[tuple[str, str]]:
-        return {
-            (cell.task, cell.level_name)
-            for cell in study
-            if all(getattr(cell, name) == value for name, value in wanted.items())
-        }
-
-    ends = {(task, names[at]) for task, names in GRID.items() for at in (0, -1)}
-    light = {(task, names[0]) for task, names in GRID.items()}
-    # one kind of event is left out of training
-    assert places(arm="no-brake") == {place for place in ends if place[0] == "highway"}
-    assert places(arm="no-cut-in") == {place for place in ends if place[0] == "u-turn"}
-    assert sum(cell.arm in WITHOUT and cell.kind == "agent" for cell in study) == 20
-    for name in ("planner", "sumo"):
-        assert places(policy=name) == light
-        assert {cell.tested["episodes"] for cell in study if cell.policy == name} == {100}
+    light = {(task, level_names(task)[0]) for task in (*GRID, *VARIANTS)}
+    for name, episodes in (("planner", 40), ("sumo", 400)):
+        drives = [cell for cell in study if cell.policy == name]
+        assert {(cell.task, cell.level_name) for cell in drives} == light
+        assert {cell.tested["episodes"] for cell in drives} == {episodes}
     tests = [cell for cell in study if cell.kind == "test"]
     assert {cell.tested["episodes"] for cell in tests} == {200}
     away = [cell for cell in tests if cell.runs_on == "replica"]
     unseen = [cell for cell in tests if cell.tested["traffics"] == ["only-parameters", "measured"]]
-    assert len(away) == 200 and len(unseen) == 5 * 2 * 5 and len(tests) == 250
+    assert len(away) == 180 and len(unseen) == 6 * 2 * 5 and len(tests) == 240
     assert {(cell.task, cell.level_name) for cell in unseen} == light

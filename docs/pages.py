@@ -31,7 +31,7 @@ from experiments.analysis.by_task import SURROGATES
 from experiments.analysis.by_task import by_task as effects_by_task
 from experiments.analysis.drivers import drivers
 from experiments.analysis.gates import CROSSINGS
-from experiments.analysis.plan import STUDY
+from experiments.analysis.plan import DEFAULT
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL, card_figure
 from experiments.reporting.figures import BESIDE, alone, crashes_against_danger, crashes_against_speed
@@ -120,7 +120,7 @@ def study() -> Any:
     stored = json.loads((ROOT / "results" / "study" / "analysis.json").read_text())
     parts = {name: part for name, part in stored.items() if isinstance(part, dict) and "columns" in part}
     frames = {name: pd.DataFrame(part["rows"], columns=part["columns"]) for name, part in parts.items()}
-    frames["danger"] = effects_by_task(episodes(), STUDY, SURROGATES)
+    frames["danger"] = effects_by_task(episodes(), DEFAULT, SURROGATES)
     return SimpleNamespace(**stored | frames)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Any
 
@@ -16,6 +16,7 @@ from experiments.analysis import plan as plans
 from experiments.analysis.by_task import COLUMNS, OWN, SURROGATES, by_task
 from experiments.analysis.claims import claims, primary
 from experiments.analysis.comparable import comparable, incomplete, leave_out, main_cells, unfinished
+from experiments.analysis.competence import competence, competent
 from experiments.analysis.drivers import drivers
 from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
@@ -29,7 +30,7 @@ from experiments.study.results.loaded import SETTING, Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, plain_json, sha256_bytes
 
-SCHEMA = 4
+SCHEMA = 5
 BOTH = ("treatment", "control")
 ONE_TRAFFIC = ("risky", "regular")
 # Comparisons in addition to the plan's: further arms, and the rule driver that is the mark to beat, as (arm, against).
@@ -47,7 +48,8 @@ class Analysis:
     `plan.as_data`. notes: missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their
     reasons; stage, the last one of the plan that is complete; and `scores.undrivable`. primary: see `claims.primary`.
     learner (see `gates.learner_checks`): empty where the plan does not ask for it. frontier: see
-    `frontier.to_frontier`. by_task: see `by_task.by_task`. drivers: see `drivers.drivers`.
+    `frontier.to_frontier`. by_task: see `by_task.by_task`. drivers: see `drivers.drivers`. competence: see
+    `competence.competence`. competent: as by_task, of the settings whose control agents are competent.
     """
 
     effects: pd.DataFrame
@@ -66,6 +68,8 @@ class Analysis:
     frontier: pd.DataFrame
     by_task: pd.DataFrame
     drivers: pd.DataFrame
+    competence: pd.DataFrame
+    competent: pd.DataFrame
 
 
 def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analysis:
@@ -90,6 +94,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     episodes = with_outcomes(known, {**OWN, **SURROGATES, **outcomes})
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
+    verdicts = competence(known.cells, known.gate_episodes)
     stage, counted = plans.reached(plan, own_agents(known.table))
 
     arms = arms_of(agents, outcomes)
@@ -132,6 +137,8 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         frontier=to_frontier(episodes),
         by_task=by_task(episodes, counted, {**COLUMNS, **SURROGATES}),
         drivers=drivers(at_home(episodes)),
+        competence=verdicts,
+        competent=by_task(episodes, replace(counted, settings=competent(verdicts)), COLUMNS),
     )
 
 

@@ -50,6 +50,7 @@ GATES: dict[str, str] = {
     "beats_constant": "return in its training traffic is above that of the best of idle, random, faster and slower by "
     "more than 2 standard errors",
 }
+COMPETENT = {"score": 0.8, "crashed": 0.05}  # at least and at most, see `competence`
 THRESHOLDS: dict[str, Any] = {  # what decides in them, for a plan's digest
     "q_bounded": Q_SLACK,
     "goals_inside": CLIPPED,
@@ -57,6 +58,7 @@ THRESHOLDS: dict[str, Any] = {  # what decides in them, for a plan's digest
     "not_constant": [CONSTANT, TIED],
     "crosses": {"entering": ENTERING, "way": {task: CROSSINGS.get(task) for task in GRID}},
     "beats_constant": 2,
+    "competent": COMPETENT,
 }
 FAILURES: dict[str, str] = {  # what it means to fail, in two or three words
     "q_bounded": "diverged",

@@ -27,6 +27,7 @@ TOO_FEW = "too few"
 MOMENTS, PAIRS = 50, 4  # that skill needs: moments of each leader, and pairs that they come from (of several)
 EVERYWHERE = 0.95  # share of dangerous episodes of both drivers above which caution is not told apart
 CAUTION, SKILL = "caution", "skill"
+FAMILY = 20  # primary answers of the study: both questions in five tasks, in two traffics
 PLACE = ["pair", "scenario"]
 
 
@@ -64,6 +65,23 @@ def answers(rows: pd.DataFrame) -> pd.DataFrame:
             found[f"{SKILL}, speed {third + 1}: {speeds}"] = _from_moments([part], places)
     frame = pd.DataFrame.from_dict(found, orient="index").rename_axis("question").reset_index()
     return frame.astype({**dict.fromkeys(Estimate._fields, "float64"), "status": "str"})
+
+
+def of_tasks(rows: pd.DataFrame, size: int = FAMILY) -> pd.DataFrame:
+    """The answers in every task and traffic, from a record of several tasks and of one bound.
+
+    size: of the family of answers to the two questions themselves; those that are not there count as undecided.
+
+    Returns:
+        As `answers`, with task and traffic, and p_holm of the two questions: p adjusted by Holm's procedure.
+    """
+    by = ["task", "traffic"]
+    each = {at: answers(part) for at, part in rows.groupby(by, sort=False)}
+    found = pd.concat(each, names=by).reset_index(level=by).reset_index(drop=True)
+    asked = found["question"].isin([CAUTION, SKILL])
+    p = found.loc[asked, "p"].fillna(1.0)
+    found.loc[asked, "p_holm"] = estimate.adjusted([*p, *[1.0] * (size - len(p))])[: len(p)]
+    return found
 
 
 def _scores(rows: pd.DataFrame, places: pd.MultiIndex, values: pd.Series, per: pd.Series | None) -> Scores:

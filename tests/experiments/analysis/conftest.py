@@ -12,9 +12,9 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
 
-LIGHTEST = (("highway", "50"), ("u-turn", "3"))
+SMALLEST = (("highway", "50"), ("u-turn", "3"))
 # A plan like the study's of a size that is quickly made up, by the label of made-up results.
-SMALL = replace(plan.STUDY, stages={"a": LIGHTEST, "b": (*LIGHTEST, ("u-turn", "6"))}, seeds=2)
+SMALL = replace(plan.STUDY, stages={"a": SMALLEST, "b": (*SMALLEST, ("u-turn", "6"))}, seeds=2)
 
 
 @pytest.fixture(scope="module", autouse=True)

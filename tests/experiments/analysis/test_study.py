@@ -1,4 +1,4 @@
-"""Plan 5 on made-up agents whose truth is known: the ten effects, its stages, and what it asks of the learner."""
+"""Plan 6 on made-up agents whose truth is known: the ten effects, its stages, and what it asks of the learner."""
 
 from __future__ import annotations
 
@@ -14,14 +14,27 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.claims import primary
 from experiments.analysis.effects import contrasts, means
 from experiments.analysis.gates import change, last_second
-from experiments.analysis.plan import DEFAULT, ENDS, STUDY, Learner, plan_of, reached
+from experiments.analysis.plan import (
+    BRAKES,
+    DEFAULT,
+    DENSEST,
+    LIGHTEST,
+    STUDY,
+    UNDRIVABLE,
+    Learner,
+    plan_of,
+    reached,
+)
 from experiments.analysis.scores import Arms, Setting
 from experiments.reporting import by_task
-from experiments.study.design.sheet import GRID
+from experiments.study.design import attainable
+from experiments.study.design.presets import SETTINGS
+from experiments.study.design.sheet import GRID, task_of
 from experiments.study.results.loaded import load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, crashes
 
+ENDS = (*LIGHTEST, *DENSEST)
 CRASHES = [("crashed", "risky"), ("crashed", "regular")]
 # Of training on the crash rate in risky and regular traffic, by task.
 Effects = dict[str, tuple[float, float]]
@@ -35,23 +48,35 @@ class TestPlan:
         """Whatever is there of the next one."""
 
         def agents(places: Any, seeds: int = 5) -> pd.DataFrame:
-            rows = [(*place, arm, 300 + k) for place in places for arm in PAIR for k in range(seeds)]
+            rows = [(*place, arm, 800 + k) for place in places for arm in PAIR for k in range(seeds)]
             return pd.DataFrame(rows, columns=["task", "level_name", "arm", "seed"])
 
-        assert reached(STUDY, agents(ENDS)[:-1]) == ("", STUDY)
-        assert reached(STUDY, agents(ENDS, seeds=4)) == ("", STUDY)
-        everywhere = agents(STUDY.settings)
-        for there in (
-            agents(ENDS),
-            everywhere[everywhere["seed"] + (everywhere["level_name"] == "20") < 305],
+        light = (*LIGHTEST, BRAKES)
+        assert reached(STUDY, agents(LIGHTEST)) == ("", STUDY)
+        assert reached(STUDY, agents(light)[:-1]) == ("", STUDY)
+        assert reached(STUDY, agents(light, seeds=4)) == ("", STUDY)
+        everywhere = agents((*STUDY.settings, BRAKES))
+        for there, stage, places in (
+            (agents(light), "a", LIGHTEST),
+            (agents((*light, *DENSEST)), "b", ENDS),
+            (everywhere[everywhere["seed"] + (everywhere["level_name"] == "20") < 805], "b", ENDS),
+            (everywhere, "c", STUDY.settings),
         ):
             name, counted = reached(STUDY, there)
-            assert (name, {*counted.settings}) == ("a", {*ENDS})
-        assert reached(STUDY, everywhere) == ("b", STUDY)
+            assert (name, {*counted.settings}) == (stage, {*places})
+
+    def test_asks_about_what_can_be_driven_and_is_computed_by_its_preset(self) -> None:
+        assert [f"{task} {name}" for task, name in (UNDRIVABLE,)] == attainable.undrivable(
+            attainable.stored()
+        )
+        asked = {
+            (task, GRID[task_of(task)][level - 1]) for task, levels in SETTINGS.items() for level in levels
+        }
+        assert asked == {*STUDY.settings, BRAKES} == {*STUDY.stages["c"]} and len(asked) == 18
 
 
 def study(effects: Effects, random: np.random.Generator, repeat: str = "sumo") -> dict[Setting, Arms]:
-    """The settings of stage a: five agents an arm."""
+    """The settings of stage b: five agents an arm."""
     places: dict[Setting, Arms] = {}
     for task, name in ENDS:
         risky, regular = effects.get(task, (0.0, 0.0))
@@ -68,7 +93,7 @@ class TestPrimary:
     def test_what_was_planted_is_found_task_by_task(self) -> None:
         planted = {"u-turn": (-0.3, 0.0), "two-way": (-0.2, 0.3), "highway": (0.0, 0.0)}
         found = ten(study(planted, np.random.default_rng(1))).set_index(["scope", "term"])
-        assert len(found) == 10 and set(found["settings"]) == {2}
+        assert len(found) == 10 and set(found["settings"]) == {1, 2}
         assert found["verdict"].to_dict() == dict.fromkeys(found.index, "open") | {
             ("u-turn", "risky"): "less",
             ("two-way", "risky"): "less",

@@ -177,3 +177,41 @@ def test_more_skilled_is_who_crashes_less_from_the_moments_of_both(caution, skil
     words = analysis.claims(found, NAMES)
     assert [words[question].partition(" than")[0] for question in ("caution", "skill")] == [*said]
     assert set(analysis.claims(found.assign(holm=1.0), NAMES, "holm").values()) <= {"not decided", said[1]}
+
+
+def test_holm_is_over_the_whole_family_of_tasks_and_traffics() -> None:
+    """What is not there, and what claims nothing, counts as undecided."""
+    rng = np.random.default_rng(3)
+    careful: Rates = lambda rng: {"danger": 0.2, "crash": 0.5}  # noqa: E731
+    made = {
+        ("u-turn", "risky"): drawn(rng, (alike, careful)),
+        ("u-turn", "regular"): drawn(rng, (alike, alike)),
+        ("highway", "risky"): drawn(rng, (alike, alike)).assign(moment=1.0),
+    }
+    rows = pd.concat([one.assign(task=task, traffic=traffic) for (task, traffic), one in made.items()])
+    found = analysis.of_tasks(rows).set_index(["task", "traffic", "question"])
+    holm = found["p_holm"].dropna()
+    assert len(holm) == 6 and set(holm.index.get_level_values("question")) == {"caution", "skill"}
+    smallest = found.loc[holm.index, "p"].min()
+    assert holm.min() == pytest.approx(20 * smallest) == holm["u-turn", "risky", "caution"]
+    assert holm["highway", "risky", "caution"] == 1.0
+    assert found.loc[("u-turn", "risky", "caution"), "estimate"] == pytest.approx(-0.4, abs=0.1)
+    words = analysis.claims(found.loc["u-turn", "risky"].reset_index(), NAMES, "p_holm")
+    assert words["caution"] == "treated is more careful than control"
+
+
+@pytest.mark.slow
+def test_without_effects_one_study_in_twenty_claims_anything() -> None:
+    """Also where half of the agents of each arm are of another kind."""
+    wrong, tries = 0, 40
+    for number in range(tries):
+        rng = np.random.default_rng(number)
+        rows = [
+            drawn(rng, (two_optima, two_optima), scenarios=50).assign(task=task, traffic=traffic)
+            for task in "abcde"
+            for traffic in ("risky", "regular")
+        ]
+        found = analysis.of_tasks(pd.concat(rows))
+        said = [analysis.claims(own, NAMES, "p_holm") for _, own in found.groupby(["task", "traffic"])]
+        wrong += any("more" in word for words in said for word in words.values())
+    assert wrong <= stats.binom.ppf(1 - 1e-3, tries, 0.05)

@@ -34,10 +34,11 @@ from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL, card_figure
-from experiments.reporting.figures import BESIDE, alone, crashes_against_danger, crashes_against_speed
+from experiments.reporting.figures import BESIDE, alone, crashes_against_speed
 from experiments.reporting.rare import rare_figure
 from experiments.reporting.road_units import doses_figure
 from experiments.reporting.tables import chosen, effect, interval, plain, points
+from experiments.reporting.takeover import danger_figure
 from experiments.study.compute.takeover import PAIR
 from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID
@@ -134,14 +135,6 @@ def speed_figure() -> str:
 def moments() -> pd.DataFrame:
     """The record of `experiments/takeover.py` in which two pairs of published agents were driven."""
     return pd.read_parquet(ROOT / "results" / "takeover.parquet")
-
-
-def danger_figure() -> str:
-    """Who gets into danger, and who gets out of it, in each task's lightest traffic."""
-    own = moments().groupby(["task", "traffic"], sort=False)
-    frames = {at: takeover.overall(part) for at, part in own}
-    rows = pd.concat(frames, names=["task", "traffic"]).reset_index(level=[0, 1])
-    return alone(crashes_against_danger(rows.replace({"driver": dict(zip(PAIR, ARMS, strict=True))})))
 
 
 def taken_over(traffic: str) -> list[dict[str, Any]]:
@@ -241,7 +234,7 @@ FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 IMAGES = ROOT / "docs" / "img"
 FIGURES = {
     IMAGES / "study.svg": speed_figure,
-    IMAGES / "takeover.svg": danger_figure,
+    IMAGES / "takeover.svg": lambda: alone(danger_figure(moments())),
     IMAGES / "entries.svg": entries_figure,
     IMAGES / "road-units.svg": road_units_figure,
     IMAGES / "rare.svg": rare_curves,

@@ -27,6 +27,7 @@ TOO_FEW = "too few"
 MOMENTS, PAIRS = 50, 4  # that skill needs: moments of each leader, and pairs that they come from (of several)
 EVERYWHERE = 0.95  # share of dangerous episodes of both drivers above which caution is not told apart
 CAUTION, SKILL = "caution", "skill"
+ADJECTIVES = {CAUTION: "careful", SKILL: "skilled"}
 FAMILY = 20  # primary answers of the study: both questions in five tasks, in two traffics
 PLACE = ["pair", "scenario"]
 
@@ -136,7 +137,7 @@ def claims(found: pd.DataFrame, names: Sequence[str], p: str = "p") -> dict[str,
     """What is said of driver b. names: of a and b. p: the column that decides, such as one that Holm has adjusted."""
     by_question = found.set_index("question")
     said = {}
-    for question, word in ((CAUTION, "careful"), (SKILL, "skilled")):
+    for question, word in ADJECTIVES.items():
         if question not in by_question.index:
             continue
         row = by_question.loc[question]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA, Outcome, Plan, plan_of
 from experiments.analysis.scores import TASK_ORDER, with_outcomes
-from experiments.reporting import by_task, figures, tables
+from experiments.reporting import by_task, figures, tables, takeover
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
 from experiments.study.design.arms import ARMS, DOSE_ARMS
@@ -51,6 +52,7 @@ def page(
             for name in names
         ],
         "films": films(results.directory),
+        "skill": skill(results.directory),
         "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,
         "checks": checks(results),
@@ -62,6 +64,13 @@ def page(
         "address": DOCUMENTATION,
         **{name: getattr(analysis, name) for name in ("plan", "plan_hash", "provenance")},
     }
+
+
+def skill(directory: Path) -> dict[str, Any]:
+    """Skill and caution, where pairs of agents were driven from equal moments (docs/takeover.md)."""
+    if (rows := takeover.recorded(directory)) is None:
+        return {}
+    return {"table": takeover.skill_or_caution(rows), "figure": Markup(takeover.danger_figure(rows))}
 
 
 def films(directory: Path) -> dict[str, str]:
@@ -92,6 +101,7 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
         "tasks": by_task.by_task(analysis, name),
         "away": by_task.by_task(analysis, name, away=True),
         "means": by_task.means_of_tasks(analysis, name),
+        "competent": by_task.by_task(replace(analysis, by_task=analysis.competent), name),
         **{part: make(analysis, name) for part, make in tables.TABLES.items()},
         "placebo": chosen(analysis.placebo, backend=name).to_dict("records"),
     }

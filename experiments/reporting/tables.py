@@ -14,6 +14,7 @@ import pandas as pd
 
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import OWN, SURROGATES
+from experiments.analysis.competence import WORDS
 from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES, Outcome
@@ -258,6 +259,23 @@ def learner(analysis: Analysis, backend: str) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
+def competence(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """How the control agents of each setting that has marks drive in regular traffic, and what they lack."""
+
+    def cells(row: Mapping[str, Any]) -> dict[str, str]:
+        best = f"{row['rule']} {number(row['rule_return'], 'return')}"
+        lacks = ", ".join(WORDS[name] for name in row["failed"].split())
+        return {
+            "score": number(row["score"], "score"),
+            "crashes": number(row["crashed"], "crashed"),
+            "return": number(row["return"], "return"),
+            "best rule": best + ", SUMO's driver not asked" * row["unfair"],
+            "competent": lacks or "yes",
+        }
+
+    return wide(with_setting(chosen(analysis.competence, backend=backend)), ["setting"], cells)
+
+
 def frontier(analysis: Analysis, backend: str) -> pd.DataFrame:
     """Crash rate of each arm's agents above that of drivers of fixed rules at the same progress."""
 
@@ -278,5 +296,6 @@ TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulat
     "gates": gates,
     "learner": learner,
     "frontier": frontier,
+    "competence": competence,
 }
 FILTERS = {f.__name__: f for f in (number, points, difference, listing, count)}

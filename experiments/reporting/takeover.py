@@ -3,17 +3,69 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import pandas as pd
 from matplotlib.lines import Line2D
 
-from experiments.analysis.takeover import CAUTION, SKILL
-from experiments.reporting.figures import CONTROL, INK, MUTED, PAPER, TREATMENT, new_figure, styled, to_svg
-from experiments.reporting.tables import MINUS, p_value, plain
-from experiments.study.compute.takeover import PAIR, WINDOW
+from experiments.analysis.scores import in_order
+from experiments.analysis.takeover import ADJECTIVES, CAUTION, SKILL, claims, of_tasks, overall
+from experiments.reporting.figures import (
+    CONTROL,
+    INK,
+    MUTED,
+    PAPER,
+    TREATMENT,
+    crashes_against_danger,
+    new_figure,
+    styled,
+    to_svg,
+)
+from experiments.reporting.tables import MINUS, chosen, p_value, plain
+from experiments.study.compute.takeover import BOUNDS, COLUMNS, PAIR, WINDOW
+from experiments.study.design.arms import ARMS
+from experiments.study.results.part import PartFile
 
+RECORDS = "takeover/*/moments.parquet"  # of experiments/takeover.py, in a study's folder
+ARM_OF = dict(zip(PAIR, ARMS, strict=True))
+TREATED = ("control agents", "treated agents")
 COLOURS = dict(zip(PAIR, (CONTROL, TREATMENT), strict=True))
 SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]
+
+
+def recorded(directory: Path) -> pd.DataFrame | None:
+    """The records of a study's pairs, by the bound of the plan; None where there are none.
+
+    Raises:
+        DamagedEpisodes: of a record that is damaged.
+    """
+    files = sorted(directory.glob(RECORDS))
+    found = [PartFile(path, "moments", COLUMNS, {}).read() for path in files]
+    return chosen(pd.concat(found, ignore_index=True), within=BOUNDS[0]) if found else None
+
+
+def danger_figure(rows: pd.DataFrame) -> str:
+    """`figures.crashes_against_danger` of a record of several tasks, whose a and b are control and treated agents."""
+    by = ["task", "traffic"]
+    frames = {at: overall(part) for at, part in rows.groupby(by, sort=False)}
+    each = pd.concat(frames, names=by).reset_index(level=by)
+    return crashes_against_danger(each.replace({"driver": ARM_OF}))
+
+
+def skill_or_caution(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row a task and traffic: both differences in points with their intervals, and what the plan decides."""
+    found = of_tasks(rows)
+    lines = []
+    for (task, traffic), own in in_order(found, "task", "traffic").groupby(["task", "traffic"], sort=False):
+        said, line = claims(own, TREATED, "p_holm"), {"task": task, "traffic": traffic}
+        shown = table(own, dict(zip(PAIR, TREATED, strict=True))).set_index("question")
+        for question in (CAUTION, SKILL):
+            if question in shown.index:
+                row = shown.loc[question]
+                line[f"{question} [points]"] = f"{row['difference']} of {row['of']}"
+                line[f"who is more {ADJECTIVES[question]}"] = said[question].partition(" is more ")[0]
+        lines.append(line)
+    return pd.DataFrame(lines)
 
 
 def question_in_words(question: str, names: Mapping[str, str]) -> str:

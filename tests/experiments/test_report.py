@@ -20,11 +20,15 @@ from experiments.analysis.effects import ESTIMATE, MEANS, WORKING_COLUMNS, means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting.by_task import both_arms
 from experiments.reporting.tables import difference, main
+from experiments.reporting.takeover import skill_or_caution
+from experiments.study.compute import takeover
 from experiments.study.design import attainable
 from experiments.study.design.verdict import STORED
 from experiments.study.results.loaded import load
+from experiments.study.results.part import DamagedEpisodes, PartFile
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
+from tests.experiments.analysis.test_takeover import alike, drawn
 
 VOID = {"meta", "br", "link", "hr", "img", "input"}
 
@@ -87,7 +91,8 @@ def directory(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def analysis(directory) -> Iterator[Analysis]:
-    drivers = {"IDLE": {"kind": "constant", "return": 1.0}, "planner": {"kind": "policy", "return": 9.0}}
+    values = {"IDLE": ("constant", 1.0, 0.5), "planner": ("policy", 9.0, 0.0)}
+    drivers = {name: dict(zip(("kind", "return", "crashed"), of, strict=True)) for name, of in values.items()}
     with pytest.MonkeyPatch.context() as patch:
         places = [f"intersection 10 {traffic}" for traffic in ("regular", "risky")]
         known: dict[str, Any] = {place: {"drivers": drivers} for place in places}
@@ -111,6 +116,10 @@ class TestReport:
             assert "score" in text and text.count("Score: 0 is the best constant action") == 1
             assert "On u-turn 6 no sequence of actions" in text and "u-turn 12" not in text
         appendix = (directory / "appendix.html").read_text()
+        assert (
+            "Can they drive? The control agents of 0 of 1 settings can"
+            in (directory / "report.html").read_text()
+        )
         assert "score, risky" in appendix and "score, regular" in appendix
 
     def test_analysis_json_has_all_frames(self, directory, analysis):
@@ -295,3 +304,26 @@ def test_an_outcome_that_is_no_number_for_each_episode_is_refused(name, message,
     (tmp_path / "mine.py").write_text(OWN)
     with pytest.raises(UserError, match=message):
         report.write_report(directory, own=dict([report.own_outcome(f"{tmp_path}/mine.py:{name}")]))
+
+
+def test_skill_and_caution_stand_in_the_report_of_a_study_whose_pairs_were_driven(tmp_path: Path) -> None:
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2)
+    random = np.random.default_rng(1)
+    rows = [
+        drawn(random, (alike, lambda _: {"danger": 0.05, "crash": 0.5})).assign(task="u-turn", traffic=traffic)
+        for traffic in ("regular", "risky")
+    ]
+    rows = pd.concat(rows, ignore_index=True).assign(level="3", within=3.0, actions="")
+    rows = rows.reindex(columns=[*takeover.COLUMNS])
+    takeover_file = tmp_path / "takeover" / "u-turn" / "moments.parquet"
+    PartFile(takeover_file, "moments", takeover.COLUMNS, {}).write(rows)
+    page = Page(report.write_report(tmp_path).read_text())
+    assert "Skill or caution?" in page.text and "treated agents" in page.text
+    lines = skill_or_caution(rows)
+    assert lines["traffic"].tolist() == ["regular", "risky"]
+    assert lines["who is more careful"].tolist() == ["treated agents"] * 2
+    assert set(lines["who is more skilled"]) <= {"not decided", "depends on whose moments", "too few"}
+    assert all(value in page.text for value in lines["caution [points]"])
+    takeover_file.write_bytes(takeover_file.read_bytes()[:-9])
+    with pytest.raises(DamagedEpisodes):
+        report.write_report(tmp_path)

@@ -169,11 +169,12 @@ def test_who_drives_where() -> None:
 
 
 def test_of_stored_agents_the_last_one_drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    key = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
+    key: dict[str, Any] = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
+    key["env_config"] = {"observation": {"type": "Kinematics", "vehicles_count": 3}}
     records = {name: {"key": key, "timing": {"finished": f"1 May 0{k}"}} for k, name in enumerate("bca")}
     store = SimpleNamespace(records=lambda: records, weights=lambda name: tmp_path)
     monkeypatch.setattr("experiments.study.compute.entrants.Store", lambda _: store)
-    assert entrant_of(str(tmp_path), "u-turn", "3").name == "a"
+    assert entrant_of(str(tmp_path), "u-turn", "3").config == key["env_config"]
     before = entrant_of(str(tmp_path), "u-turn", "3")
     records["d"] = {"key": key, "timing": {"finished": "1 May 09"}}  # as the folder is trained in
     assert (before.name, entrant_of(str(tmp_path), "u-turn", "3").name) == ("a", "d")

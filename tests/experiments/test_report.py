@@ -310,7 +310,9 @@ def test_skill_and_caution_stand_in_the_report_of_a_study_whose_pairs_were_drive
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2)
     random = np.random.default_rng(1)
     rows = [
-        drawn(random, (alike, lambda _: {"danger": 0.05, "crash": 0.5})).assign(task="u-turn", traffic=traffic)
+        drawn(random, (alike, lambda _: {"danger": 0.05, "crash": 0.5})).assign(
+            task="u-turn", traffic=traffic
+        )
         for traffic in ("regular", "risky")
     ]
     rows = pd.concat(rows, ignore_index=True).assign(level="3", within=3.0, actions="")

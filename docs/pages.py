@@ -13,6 +13,7 @@ import functools
 import json
 import sys
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -137,17 +138,17 @@ def moments() -> pd.DataFrame:
     return pd.read_parquet(ROOT / "results" / "takeover.parquet")
 
 
-def taken_over(traffic: str) -> list[dict[str, Any]]:
-    """A row a task and leader of that record in one traffic: danger and, by driver, crashes from the moments [%]."""
+def taken_over() -> list[tuple[dict[str, Any], ...]]:
+    """Of each task and leader of that record, in risky and in regular traffic: danger and, by driver, crashes [%]."""
     found = []
-    for task in GRID:
-        rows = chosen(moments(), task=task, traffic=traffic)
-        rates = takeover.rates(rows)
-        for leader, danger in zip(PAIR, takeover.overall(rows)["danger"], strict=True):
-            own = chosen(rates, leader=leader).set_index("driver")
-            moments_of = int(own["moments"].max()) if len(own) else 0
-            crashed = (100 * own["crashed"]).to_dict()
-            found.append({"task": task, "danger": 100 * danger, "moments": moments_of, "crashed": crashed})
+    for task, leader in product(GRID, PAIR):
+        both = []
+        for traffic in ("risky", "regular"):
+            rows = chosen(moments(), task=task, traffic=traffic)
+            danger = takeover.overall(rows).set_index("driver").loc[leader, "danger"]
+            crashed = chosen(takeover.rates(rows), leader=leader).set_index("driver")["crashed"]
+            both.append({"task": task, "danger": 100 * danger, "crashed": (100 * crashed).to_dict()})
+        found.append(tuple(both))
     return found
 
 

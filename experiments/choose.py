@@ -4,7 +4,7 @@
 
 A folder is a candidate; in it lie folders of sweeps, of the same names in all. Every agent is scored in the traffic of
 its training: 0 is the return of the best constant action, 1 that of the best driver of all candidates' folders, agents
-and drivers of fixed rules, on the same scenarios.
+and drivers of fixed rules, on the same scenarios. Rules may drive in one candidate's folders alone.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import tyro
 
 from experiments.analysis.gates import gates
 from experiments.study.design.arms import ARMS, gate_traffics
+from experiments.study.design.cell import setting_of_agent
 from experiments.study.results.loaded import SETTING, load
 from experiments.support.arguments import command
 from experiments.support.errors import UserError
@@ -49,13 +50,15 @@ def drivers(candidate: Path) -> pd.DataFrame:
         [m/s]; of an agent also cpu of its training [s], and failed, its gates.
 
     Raises:
-        UserError: no sweep, or one that has not all its cells.
+        UserError: no sweep, or one that has not all its agents.
     """
     found = []
     for folder in sorted(path for path in candidate.iterdir() if path.is_dir()):
         results = load(folder)
-        if missing := [*set(results.expected) - set(results.cells)]:
-            raise UserError(f"{folder} has not all its cells ({missing[0]}): run its sweep again")
+        if missing := sorted(
+            name for name in results.expected if name not in results.cells and setting_of_agent(name)
+        ):
+            raise UserError(f"{folder} has not all its agents ({missing[0]}): run its sweep again")
         tests = results.episodes.groupby(["cell", "traffic"])[["return", "crashed", "mean_speed"]].mean()
         rows = tests.reset_index().merge(results.table.reset_index(drop=True), on="cell")
         of_training = [

@@ -66,7 +66,7 @@ def validation(*tasks: str) -> dict[str, Any]:
 
 
 def trained() -> str:
-    """Crash rates of the published agents on both simulators, lightest levels: "SUMO→highway-env", a line a task [%]."""
+    """Crash rates of published agents on both simulators, lightest levels: "SUMO→highway-env", a line a task [%]."""
     rows = pd.DataFrame([{"task": task, **row} for task, own in verdict().items() for row in own["agents"]])
     lines = []
     for task in GRID:

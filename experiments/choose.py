@@ -28,29 +28,33 @@ from experiments.study.design.cell import setting_of_agent
 from experiments.study.results.loaded import SETTING, load
 from experiments.support.arguments import command
 from experiments.support.errors import UserError
+from experiments.support.files import write_file
 
 CONSTANT = ("idle", "faster", "slower")
 PLACE = ["sweep", *SETTING, "traffic"]  # where returns are compared
 AGENT = ["candidate", "arm", "seed"]
+COLUMNS = [*PLACE, *AGENT, "policy", "return", "crashed", "speed", "cpu", "failed"]
 
 
 @dataclass(frozen=True)
 class Options:
     """Say which of several learners drives best."""
 
-    candidates: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...")]
+    candidates: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...")] = ()
     """A folder of each candidate, with folders of sweeps."""
+    table: Annotated[Path | None, tyro.conf.arg(metavar="FILE.csv")] = None
+    """How everybody drives in finished settings: read, and written with those that the folders add."""
 
 
 def drivers(candidate: Path) -> pd.DataFrame:
     """How everybody drives who has a cell in a candidate's folder.
 
     Returns:
-        A row a driver and traffic (of an agent that of its training): PLACE, AGENT, policy, return, crashed and speed
-        [m/s]; of an agent also cpu of its training [s], and failed, its gates.
+        A row a driver and traffic (of an agent that of its training): COLUMNS, return, crashed and speed [m/s]; of an
+        agent also cpu of its training [s], and failed, its gates. Sweeps that lack agents are named and left out.
 
     Raises:
-        UserError: no sweep, or one that has not all its agents.
+        UserError: no sweep.
     """
     found = []
     for folder in sorted(path for path in candidate.iterdir() if path.is_dir()):
@@ -58,7 +62,8 @@ def drivers(candidate: Path) -> pd.DataFrame:
         if missing := sorted(
             name for name in results.expected if name not in results.cells and setting_of_agent(name)
         ):
-            raise UserError(f"{folder} has not all its agents ({missing[0]}): run its sweep again")
+            print(f"{folder} has not all its agents ({missing[0]}), and does not count: run its sweep again")
+            continue
         tests = results.episodes.groupby(["cell", "traffic"])[["return", "crashed", "mean_speed"]].mean()
         rows = tests.reset_index().merge(results.table.reset_index(drop=True), on="cell")
         of_training = [
@@ -69,10 +74,20 @@ def drivers(candidate: Path) -> pd.DataFrame:
         failed = gates(results.cells, results.gate_episodes).set_index("cell")["failed"]
         told = pd.DataFrame({"cpu": cpu, "failed": failed})
         rows = rows[of_training].join(told, on="cell")
-        found.append(rows.assign(candidate=candidate.name, sweep=folder.name))
-    if not found:
+        rows = rows.assign(candidate=candidate.name, sweep=folder.name).rename(
+            columns={"mean_speed": "speed"}
+        )
+        found.append(rows[COLUMNS])
+    if not any(candidate.iterdir()):
         raise UserError(f"{candidate} has no folder of a sweep")
-    return pd.concat(found, ignore_index=True).rename(columns={"mean_speed": "speed"})
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=COLUMNS)
+
+
+def whole(found: pd.DataFrame) -> pd.DataFrame:
+    """The rows of sweeps in which all candidates have agents."""
+    agents = found[found["arm"].isin(ARMS)]
+    there = agents.groupby("sweep")["candidate"].nunique() == agents["candidate"].nunique()
+    return found[found["sweep"].isin(there.index[there])]
 
 
 def scored(found: pd.DataFrame) -> pd.DataFrame:
@@ -112,7 +127,17 @@ def chosen(agents: pd.DataFrame) -> pd.DataFrame:
 
 def main(options: Options) -> int:
     """Print the agents and the candidates; returns the exit status."""
-    agents = scored(pd.concat(map(drivers, options.candidates), ignore_index=True))
+    folders = [rows for rows in map(drivers, options.candidates) if len(rows)]
+    found = whole(pd.concat(folders)) if folders else pd.DataFrame(columns=COLUMNS)
+    if options.table:
+        if options.table.exists():
+            before = pd.read_csv(options.table, dtype={"level_name": str, "arm": str, "failed": str})
+            before = before[~before["sweep"].isin(found["sweep"])]
+            found = pd.concat([rows for rows in (before, found) if len(rows)])
+        found = found.sort_values(["sweep", "candidate", "traffic", "policy", "arm", "seed"])
+        write_file(options.table, found.to_csv(index=False, float_format="%.6g").encode())
+    agents = scored(found.reset_index(drop=True)).astype({"seed": int})
+    print(f"{agents['sweep'].nunique()} settings")
     shown = ["sweep", "task", "level_name", *AGENT, "score", "return", "crashed", "speed", "cpu", "failed"]
     with pd.option_context("display.width", 200, "display.precision", 3):
         print(agents[shown].sort_values(shown[:6]).to_string(index=False))

@@ -38,7 +38,8 @@ def test_agents_are_scored_between_the_best_constant_action_and_the_best_driver_
     for name, options in CANDIDATES.items():
         sweep_of(tmp_path / name / "fake", seeds=2, **options)
     folders = tuple(tmp_path / name for name in CANDIDATES)
-    assert choose.main(choose.Options(folders)) == 0
+    stored = tmp_path / "table.csv"
+    assert choose.main(choose.Options(folders, stored)) == 0
     table = choose.chosen(choose.scored(pd.concat(map(choose.drivers, folders), ignore_index=True)))
     found = {folder.name: returns(folder / "fake") for folder in folders}
     scores: dict[str, list[float]] = {name: [] for name in found}
@@ -50,13 +51,17 @@ def test_agents_are_scored_between_the_best_constant_action_and_the_best_driver_
             scores[name] += ((agents - low) / (max(there) - low)).tolist()
     assert table["score"].to_dict() == pytest.approx({name: np.mean(own) for name, own in scores.items()})
     assert table["score"].is_monotonic_decreasing and (table["cpu"] > 0.0).all()
-    assert table.index[0] in capsys.readouterr().out.splitlines()[-2]
+    printed = capsys.readouterr().out
+    assert table.index[0] in printed.splitlines()[-2]
 
     for name in Store(folders[1] / "fake").finished():
         if not setting_of_agent(name):  # rules may drive in one folder alone
             (folders[1] / "fake" / "cells" / f"{name}.parquet").unlink()
     again = choose.chosen(choose.scored(pd.concat(map(choose.drivers, folders), ignore_index=True)))
     assert again["score"].to_dict() == table["score"].to_dict()
+
+    assert choose.main(choose.Options(table=stored)) == 0  # without the folders
+    assert capsys.readouterr().out == printed
 
 
 def test_where_a_constant_action_is_best_nothing_is_scored() -> None:
@@ -75,15 +80,16 @@ def test_where_a_constant_action_is_best_nothing_is_scored() -> None:
         choose.scored(pd.DataFrame([*rows, idle]))
 
 
-def test_candidates_need_the_same_agents_and_all_of_them(tmp_path: Path) -> None:
+def test_candidates_need_the_same_agents_and_all_of_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     for name, seeds in (("one", 1), ("two", 2)):
         sweep_of(tmp_path / name / "fake", seeds=seeds)
     with pytest.raises(UserError, match="have not the same agents"):
         choose.main(choose.Options((tmp_path / "one", tmp_path / "two")))
     folder = tmp_path / "two" / "fake"
     Store(folder).write_sweep("more", [task.cell for task in tasks_of(folder, seeds=3)])
-    with pytest.raises(UserError, match="has not all its agents"):
-        choose.main(choose.Options((tmp_path / "two",)))
+    assert choose.drivers(tmp_path / "two").empty and "has not all its agents" in capsys.readouterr().out
     (tmp_path / "none").mkdir()
     with pytest.raises(UserError, match="no folder of a sweep"):
         choose.main(choose.Options((tmp_path / "none",)))

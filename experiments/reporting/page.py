@@ -70,7 +70,8 @@ def skill(directory: Path) -> dict[str, Any]:
     """Skill and caution, where pairs of agents were driven from equal moments (docs/takeover.md)."""
     if (rows := takeover.recorded(directory)) is None:
         return {}
-    return {"table": takeover.skill_or_caution(rows), "figure": Markup(takeover.danger_figure(rows))}
+    table, figure = takeover.skill_or_caution(rows), takeover.danger_figure(rows)
+    return {"table": table, "decided": takeover.decided(table), "figure": Markup(figure)}
 
 
 def films(directory: Path) -> dict[str, str]:

@@ -29,6 +29,7 @@ from experiments.study.results.part import PartFile
 RECORDS = "takeover/*/moments.parquet"  # of experiments/takeover.py, in a study's folder
 ARM_OF = dict(zip(PAIR, ARMS, strict=True))
 TREATED = ("control agents", "treated agents")
+SIDES = dict(zip(("less", "more"), TREATED, strict=True))
 COLOURS = dict(zip(PAIR, (CONTROL, TREATMENT), strict=True))
 SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]
 
@@ -66,6 +67,18 @@ def skill_or_caution(rows: pd.DataFrame) -> pd.DataFrame:
                 line[f"who is more {ADJECTIVES[question]}"] = said[question].partition(" is more ")[0]
         lines.append(line)
     return pd.DataFrame(lines)
+
+
+def decided(lines: pd.DataFrame) -> dict[str, dict[str, list[str]]]:
+    """What `skill_or_caution` decides: by traffic the tasks in which treated agents are "more careful" and the like."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for traffic, own in lines.groupby("traffic"):
+        sides = [(adjective, word, who) for adjective in ADJECTIVES.values() for word, who in SIDES.items()]
+        found[str(traffic)] = {
+            f"{word} {adjective}": own.loc[own[f"who is more {adjective}"] == who, "task"].tolist()
+            for adjective, word, who in sides
+        }
+    return found
 
 
 def question_in_words(question: str, names: Mapping[str, str]) -> str:

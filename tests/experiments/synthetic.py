@@ -18,6 +18,7 @@ from agents.rules import POLICIES
 from experiments.study.design.arms import ARMS, EVERY_ARM, gate_traffics
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
+from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.schema import COLUMNS, EPISODES, GATES
 from experiments.study.results.store import Store
@@ -50,7 +51,7 @@ def episodes(cell: Cell, effect: float, spread: float, purpose: str = "test") ->
     tested = cell.test_on or {"traffics": TRAFFICS, "episodes": cell.episodes}
     if purpose == "gate":
         tested = {"traffics": gate_traffics(cell.arm), "episodes": cell.gate_episodes}
-    tables, n, steps = [], tested["episodes"], DURATION[cell.task]
+    tables, n, steps = [], tested["episodes"], DURATION[task_of(cell.task)]
     for traffic in tested["traffics"]:
         luck = generator(cell.task, cell.level, traffic, purpose).uniform(size=n)  # of all who are tested
         dose = AT_A_DOSE[traffic]
@@ -132,7 +133,7 @@ def write(
             levels=tuple(numbers),
             episodes=tests,
             gate_episodes=100,
-            learners={task: {"updates": updates, "gamma": 0.95}},
+            learners={task_of(task): {"updates": updates, "gamma": 0.95}},
             arms=(*ARMS, *further),
             **{"preset": "quick", "about": "", "seeds": 3, **asked},
         ).cells()

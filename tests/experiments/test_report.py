@@ -324,6 +324,7 @@ def test_skill_and_caution_stand_in_the_report_of_a_study_whose_pairs_were_drive
     lines = skill_or_caution(rows)
     assert lines["traffic"].tolist() == ["regular", "risky"]
     assert lines["who is more careful"].tolist() == ["treated agents"] * 2
+    assert "in regular traffic treated agents are more careful on u-turn. In risky" in page.text
     assert set(lines["who is more skilled"]) <= {"not decided", "depends on whose moments", "too few"}
     assert all(value in page.text for value in lines["caution [points]"])
     takeover_file.write_bytes(takeover_file.read_bytes()[:-9])

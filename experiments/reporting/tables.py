@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.analysis import estimate
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import OWN, SURROGATES
 from experiments.analysis.competence import WORDS
 from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES, Outcome
-from experiments.analysis.scores import TASK_ORDER
+from experiments.analysis.scores import TASK_ORDER, in_order
 from experiments.study.design.arms import ARMS
 from experiments.study.design.traffic import TRAFFICS, UNSEEN
 
@@ -214,7 +215,10 @@ def gates(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 
 def side_by_side(analyses: Mapping[str, Analysis]) -> pd.DataFrame:
-    """Effects on the crash rate in several folders, by name, over the settings that all of them have."""
+    """Effects on the crash rate in several folders, by name, over the settings that all of them have.
+
+    By task also the difference of another folder's effect from the first one's, as of independent agents and scenarios.
+    """
     frames = [
         chosen(
             main(one.effects, one.effects["backend"].iloc[0]), outcome="crashed", term=list(TRAFFICS)
@@ -225,11 +229,19 @@ def side_by_side(analyses: Mapping[str, Analysis]) -> pd.DataFrame:
     if len(frames) < 2:
         return pd.DataFrame()
     rows = pd.concat(frames, ignore_index=True)
-    shared = rows.groupby(["task", "level"])["backend"].transform("nunique") == len(frames)
-    found = chosen(means(rows[shared]), scope=ALL_TASKS).rename(columns={"backend": "folder"})
+    rows = rows[rows.groupby(["task", "level"])["backend"].transform("nunique") == len(frames)]
+    found = chosen(means(rows), scope=ALL_TASKS).rename(columns={"scope": "task"})
+    first, *others = rows["backend"].unique()
+    weights = estimate.equal_task_weights(rows, ["backend", "task", "term"])
+    of_tasks = [estimate.combine(rows, ["backend", "task", "term"], weights)]
+    for other in others:
+        both, sign = rows[rows["backend"].isin([first, other])], rows["backend"].eq(other) * 2 - 1
+        between = estimate.combine(both, ["task", "term"], (weights * sign)[both.index])
+        of_tasks.append(between.assign(backend=f"{other} {MINUS} {first}", settings=between["settings"] // 2))
+    each = in_order(pd.concat(of_tasks), "task", "term")
     return wide(
-        found.sort_values("term", kind="stable"),
-        ["folder", "settings"],
+        pd.concat([found.sort_values("term", kind="stable"), each]).rename(columns={"backend": "folder"}),
+        ["task", "folder", "settings"],
         lambda row: {f"{row['term']} traffic": difference(row)},
     )
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from experiments import report
 from experiments.analysis.analysis import DESCRIPTIVE, Analysis, analyse, policies
@@ -19,7 +20,7 @@ from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.effects import ESTIMATE, MEANS, WORKING_COLUMNS, means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting.by_task import both_arms
-from experiments.reporting.tables import difference, main
+from experiments.reporting.tables import chosen, difference, main
 from experiments.reporting.takeover import skill_or_caution
 from experiments.study.compute import takeover
 from experiments.study.design import attainable
@@ -203,6 +204,20 @@ def test_folders_side_by_side_are_compared_in_the_settings_of_all(tmp_path):
         [there] = elsewhere[elsewhere["term"] == term].to_dict("records")
         alone = means(main(both[both["term"] == term], "sumo")).query("scope == 'all tasks'")
         assert difference(there) in text and difference(alone.iloc[0]) in text
+        wanted = {
+            "task": "u-turn",
+            "outcome": "crashed",
+            "arm": "treatment",
+            "against": "control",
+            "term": term,
+        }
+        here, there = (chosen(one.effects, **wanted).iloc[0] for one in (ours, theirs))
+        se = float(np.hypot(here["se"], there["se"]))
+        df = se**4 / (here["se"] ** 4 / here["df"] + there["se"] ** 4 / there["df"])  # Welch
+        value, half = there["estimate"] - here["estimate"], stats.t.ppf(0.975, df) * se
+        assert (
+            difference({"estimate": value, "low": value - half, "high": value + half, "status": "ok"}) in text
+        )
 
 
 @pytest.mark.usefixtures("words_alone")

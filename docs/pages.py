@@ -25,7 +25,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from docs.settings import readme_agents, trainings
+from docs.settings import NAMES, learned, readme_agents, trainings
 from experiments import evaluate
 from experiments.analysis import takeover
 from experiments.analysis.by_task import SURROGATES
@@ -124,6 +124,12 @@ def speed_figure() -> str:
     """Crashes against speed of everybody in each task's lightest traffic."""
     shown = chosen(episodes(), level=1, arm=[*ARMS, *BESIDE])
     return alone(crashes_against_speed(drivers(shown), "study"))
+
+
+def settings_figure() -> str:
+    """Crashes against speed of random actions and of what Stable-Baselines3 has learned."""
+    leads = "random actions", "DQN, median and range"
+    return alone(crashes_against_speed(learned(), "settings", leads, NAMES))
 
 
 @functools.cache
@@ -231,6 +237,7 @@ FIGURES = {
     IMAGES / "study.svg": speed_figure,
     IMAGES / "takeover.svg": lambda: alone(danger_figure(moments())),
     IMAGES / "entries.svg": entries_figure,
+    IMAGES / "settings.svg": settings_figure,
     IMAGES / "road-units.svg": road_units_figure,
     IMAGES / "rare.svg": rare_curves,
 }

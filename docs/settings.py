@@ -54,6 +54,10 @@ SETTINGS = {  # by TASK/RISK
     "u-turn/0": ({**ATTENTION, "gamma": 0.8}, 40_000),
 }
 
+# Where the figure names a task, beside random actions, as `reporting.figures.NAMES`.
+NAMES = {"roundabout": (8, -2, "left"), "two-way": (7, -5, "left"), "u-turn": (-4, 7, "right")}
+NAMES |= {"highway": (-7, -3, "right"), "intersection": (-14, 11, "left")}
+
 Act = Callable[[Any], Any]
 
 
@@ -106,6 +110,24 @@ def of_line(task: str, risk: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     return pd.DataFrame([rows.pop(seed) for seed in seeds(task, risk)]), pd.DataFrame(rows).T
 
 
+def learned() -> pd.DataFrame:
+    """Crash rate and speed with their ranges, of random actions, of the median agent and of SLOWER, by task and risk.
+
+    The columns are those that `reporting.figures.crashes_against_speed` takes.
+    """
+    rows = []
+    for (task, risk), name in product(product(TASKS, RISKS), ("random", "agents", "SLOWER")):
+        agents, others = of_line(task, risk)
+        driven = agents if name == "agents" else others.loc[[name]]
+        row = {"task": task.removesuffix("-fast"), "traffic": ("regular", "risky")[risk]}
+        row["driver"] = {"random": ARMS[0], "agents": ARMS[1]}.get(name, name.lower())
+        for shown, column, size in (("mean_speed", "speed", 1), ("crashed", "crashes", 100)):
+            ends = (driven[column] / size).quantile([0, 0.5, 1])
+            row |= dict(zip((f"{shown}_low", shown, f"{shown}_high"), ends, strict=True))
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
 def readme_agents() -> dict[str, float]:
     """README's agents: how many, their median crashes [%] and those of random actions."""
     agents, others = of_line(*README)
@@ -126,7 +148,7 @@ def trainings() -> str:
             cells.append(middle if key == "speed" else f"{middle} ({least}–{most})")
         if agents["return"].median() >= ahead:
             cells[2] = f"**{cells[2]}**"
-        for name in ("study", "random", best):
+        for name in ("study", best):
             cells.append("/".join(f"{others.loc[name, key]:.{digits}f}" for key, digits in DIGITS.items()))
         if others.loc["study", "return"] >= ahead:
             cells[5] = f"**{cells[5]}**"

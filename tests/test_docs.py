@@ -275,6 +275,13 @@ def test_settings_that_learn_are_those_of_readme_s_script() -> None:
     agents = [row["crashes"] for name, row in rows.items() if re.fullmatch(r"u-turn/1/\d", name)]
     random = rows["u-turn/1/random"]["crashes"]
     assert settings.readme_agents() == {"count": len(agents), "crashes": median(agents), "random": random}
+    drawn = settings.learned().set_index(["task", "traffic", "driver"])
+    assert len(drawn) == 3 * len(settings.RISKS) * len(settings.TASKS)
+    line = drawn.loc["u-turn", "risky", "treatment"]
+    ends = [line[f"crashed{end}"] for end in ("_low", "", "_high")]
+    assert ends == [min(agents) / 100, median(agents) / 100, max(agents) / 100]
+    assert drawn.loc["u-turn", "risky", "control"]["crashed"] == random / 100
+    assert drawn.loc["highway", "regular", "slower"]["mean_speed"] == rows["highway-fast/0/SLOWER"]["speed"]
 
 
 def test_scenarios_of_the_two_way_road_that_nothing_survives_are_those_that_were_found() -> None:

@@ -191,26 +191,34 @@ NAMES = {"roundabout": (9, 1, "left"), "two-way": (7, 3, "left"), "u-turn": (-4,
 
 
 @styled
-def crashes_against_speed(drivers: pd.DataFrame, name: str) -> str:
+def crashes_against_speed(
+    drivers: pd.DataFrame,
+    name: str,
+    leads: tuple[str, str] = ("control agents", "treated agents"),
+    names: Mapping[str, tuple[int, int, str]] = NAMES,
+) -> str:
     """Crash rate against speed, an arrow from control to treated agents for each task, one panel for each traffic.
 
-    drivers: of `analysis.drivers`, one setting of each task, with both arms. name: of the figure's ids.
+    drivers: of `analysis.drivers`, one setting of each task, with both arms. name: of the figure's ids. leads: what is
+    drawn as the two arms. names: as NAMES.
     """
     with matplotlib.rc_context(LARGER):  # so that it can be read on a telephone
         figure = Figure(figsize=(6.5, 4.6), layout="constrained")
         panels = figure.subplots(1, len(TRAFFICS), sharex=True, sharey=True)
         for panel, traffic in zip(panels, TRAFFICS, strict=True):
             for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
-                _task(panel, str(task), own.set_index("driver"), "mean_speed", 30.0)
+                _task(panel, str(task), own.set_index("driver"), "mean_speed", 30.0, names)
             panel.set(title=f"in {traffic} traffic", xlim=(0, 33), xticks=[0, 10, 20, 30])
             share_axis(panel)
         panels[0].set_ylabel("episodes with a crash")
         figure.supxlabel("mean speed [m/s]", fontsize=11)
-        marks = [("control agents", "o", PAPER), ("treated agents", "o", INK)]
-        marks += [(words, MARKS[name], "none") for name, words in BESIDE.items()]
+        marks = [(leads[0], "o", PAPER), (leads[1], "o", INK)]
+        marks += [
+            (words, MARKS[who], "none") for who, words in BESIDE.items() if who in set(drivers["driver"])
+        ]
         handles = [Line2D([], [], color=INK, ls="", marker=m, mfc=c, label=words) for words, m, c in marks]
         figure.legend(handles=handles, loc="outside upper center", ncols=3, handletextpad=0.1)
-        return to_svg(figure, f"{name}-speed", "Crash rate against speed, from control to treated agents")
+        return to_svg(figure, f"{name}-speed", f"Crash rate against speed, from {leads[0]} to {leads[1]}")
 
 
 @styled
@@ -239,8 +247,10 @@ def crashes_against_danger(drivers: pd.DataFrame) -> str:
         return to_svg(figure, "danger", words)
 
 
-def _task(panel: Axes, task: str, drivers: pd.DataFrame, x: str, span: float) -> None:
-    """The drivers of a task in one traffic, by name. x: the horizontal outcome, and its span."""
+def _task(
+    panel: Axes, task: str, drivers: pd.DataFrame, x: str, span: float, names: Mapping[str, Any] = NAMES
+) -> None:
+    """The drivers of a task in one traffic, by name. x: the horizontal outcome, and its span. names: as NAMES."""
     colour = TASKS.get(task, INK)
     for name in BESIDE:
         if name in drivers.index:
@@ -259,7 +269,7 @@ def _task(panel: Axes, task: str, drivers: pd.DataFrame, x: str, span: float) ->
     if way > 0.05:  # else the head of the arrow is longer than it
         arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, "lw": 2, "shrinkA": 0, "shrinkB": 3}
         panel.annotate("", goal, origin, arrowprops=arrow, zorder=3)
-    right, up, side = NAMES.get(task, (0, 9, "center"))
+    right, up, side = names.get(task, (0, 9, "center"))
     words: dict[str, Any] = {"color": colour, "fontweight": "bold", "fontsize": 10, "ha": side}
     panel.annotate(task, origin, (right, up), textcoords="offset points", zorder=5, **words)
 

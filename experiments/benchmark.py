@@ -33,8 +33,8 @@ import numpy as np
 import pandas as pd
 
 from experiments.backends import make_env
-from experiments.study.design.levels import choose_tasks
-from experiments.support.arguments import TaskNames, command
+from experiments.study.design.levels import StudyTasks, choose_tasks
+from experiments.support.arguments import command
 from experiments.support.errors import writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
@@ -226,7 +226,7 @@ class Options:
     """Directory for benchmark.json."""
     quick: bool = False
     """Fewer and shorter turns."""
-    tasks: TaskNames = ()
+    tasks: StudyTasks = ()
     parts: tuple[Literal["env", "peers", "batches"], ...] = ("env", "peers", "batches")
     """What to measure (the last two with EnvPool where it is installed)."""
 

@@ -22,9 +22,9 @@ import pandas as pd
 
 from experiments.backends import has
 from experiments.study.design.fingerprint import check_dynamics
-from experiments.study.design.levels import choose_tasks
+from experiments.study.design.levels import StudyTasks, choose_tasks
 from experiments.study.design.traffic import AT_A_DOSE
-from experiments.support.arguments import TaskNames, command
+from experiments.support.arguments import command
 from experiments.support.errors import writing
 from experiments.support.files import write_file
 from experiments.validation import episodes
@@ -48,7 +48,7 @@ class Options:
 
     out: Path
     """Directory for doses.csv."""
-    tasks: TaskNames = ()
+    tasks: StudyTasks = ()
     scenarios: int = 100
     """Scenarios of each dose; every ego drives each."""
     workers: int = 2

@@ -41,7 +41,7 @@ from experiments.study.compute.entrants import entrant_of
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.rare import Batch, Question
 from experiments.study.design.fingerprint import check_dynamics, dynamics
-from experiments.study.design.levels import level_names, tasks_known
+from experiments.study.design.levels import TaskName, level_names, tasks_known
 from experiments.study.design.sheet import task_of
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, check_known, writing
@@ -66,7 +66,7 @@ class Options:
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ..")]
     """Published agents (treatment, u-turn-3/treatment), zip files of Stable-Baselines3, FILE:MAKE, directories of
     results, or drivers of fixed rules (careful-4)."""
-    task: str
+    task: TaskName
     """Task that is driven."""
     level: str = ""
     """Its traffic level by name; by default the lightest."""

@@ -40,6 +40,7 @@ import tyro
 from experiments import backends
 from experiments.backends import MakeEnv
 from experiments.study.design.cell import tested_on
+from experiments.study.design.levels import OwnTasks
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, ending, play_again
 from experiments.study.results.schema import EPISODES
@@ -66,6 +67,7 @@ class Options:
     """Search for actions that would have avoided the crash; writes DIR/CELL-TRAFFIC-SCENARIO-avoided.gif."""
     code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME", help_behavior_hint="")] = None
     """The cell's own policy, network or learner, for --policy; code is run only where you name it."""
+    tasks: OwnTasks = ()
     horizon: int = HORIZON
     """Policy steps in which --avoid tries all sequences of actions."""
 

@@ -35,6 +35,7 @@ from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.effects import WORKING_COLUMNS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.reporting.page import page, render
+from experiments.study.design.levels import OwnTasks
 from experiments.study.results.loaded import load
 from experiments.study.results.schema import COLUMNS
 from experiments.study.results.store import Store
@@ -54,6 +55,7 @@ class Options:
     """The --out directory of a sweep."""
     others: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")] = ()
     """Other directories. Effects in the settings that all of them have are shown side by side."""
+    tasks: OwnTasks = ()
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     pack: bool = False

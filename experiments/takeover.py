@@ -46,7 +46,7 @@ from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, COSTLY, OTHERS, PAIR, WINDOW, Batch, Question
 from experiments.study.design.experiment import assignments
 from experiments.study.design.fingerprint import check_dynamics, dynamics
-from experiments.study.design.levels import env_config, level_names, tasks_known
+from experiments.study.design.levels import TaskName, env_config, level_names, tasks_known
 from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.takeover import films, most_telling
@@ -71,7 +71,7 @@ class Options:
     results or a driver of fixed rules (careful-4, idm, slower); several with commas between, or DIR/PART."""
     b: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="B")]
     """The same; of as many policies as A."""
-    task: str
+    task: TaskName
     """Task that is driven."""
     level: str = ""
     """Its traffic level by name; by default the lightest."""

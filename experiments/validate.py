@@ -28,10 +28,10 @@ import pandas as pd
 import tyro
 
 from experiments.study.design.fingerprint import check_dynamics, dynamics
-from experiments.study.design.levels import choose_levels, choose_tasks
+from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import STORED, versions
-from experiments.support.arguments import TaskNames, command
+from experiments.support.arguments import command
 from experiments.support.errors import UserError, writing
 from experiments.support.files import read_json, write_file, write_json
 from experiments.support.provenance import provenance
@@ -53,7 +53,7 @@ class Options:
     """Directory for validation.json and validation.html."""
     quick: bool = False
     """Few scenarios and egos, and neither variants of highway-env, highway-env itself nor trained agents."""
-    tasks: TaskNames = ()
+    tasks: StudyTasks = ()
     levels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
     """Some traffic levels, 1 is the lightest (default: all)."""
     scenarios: int = 200

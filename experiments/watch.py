@@ -30,6 +30,7 @@ from experiments.backends import make_env
 from experiments.reporting.tables import listing
 from experiments.study.design.arms import ARMS
 from experiments.study.design.cell import tested_on
+from experiments.study.design.levels import OwnTasks
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.rerun import Case, ending, play_again
 from experiments.study.results.schema import EPISODES
@@ -56,6 +57,7 @@ class Options:
     """Show the first risky scenario in which the agent crashes."""
     code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME")] = None
     """The agent's network or learner, if it is one of your own; code is run only where you name it."""
+    tasks: OwnTasks = ()
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File to write, .gif or .mp4; by default DIR/AGENT-SCENARIO.gif."""
 

@@ -28,7 +28,7 @@ def _hard(episodes: pd.DataFrame) -> pd.Series:
 
 def _entered(episodes: pd.DataFrame) -> pd.Series:
     """Whether the ego gets into the roundabout or intersection; NaN in tasks without one."""
-    way = episodes["task"].map(CROSSINGS).astype(float)
+    way = episodes["task"].map(dict(CROSSINGS)).astype(float)
     return (episodes["distance"] >= way).astype(float).where(way.notna())
 
 

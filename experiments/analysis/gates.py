@@ -22,7 +22,7 @@ from experiments.analysis.estimate import DEGENERATE, OK, Estimate, combine, equ
 from experiments.analysis.plan import ALPHA, Learner, Plan
 from experiments.analysis.scores import in_order
 from experiments.study.design.arms import ARMS, gate_traffics
-from experiments.study.design.sheet import GRID, SHEETS, VARIANTS, sheet, task_of
+from experiments.study.design.sheet import GRID, PerTask, task_of
 from experiments.study.results.loaded import AGENT, SETTING, table_of
 
 Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before an agent counts as diverged
@@ -35,7 +35,7 @@ TIED = 0.98  # share of the scenarios with the return of one constant policy fro
 ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does
 CONSTANT_POLICIES = ("idle", "random", "faster", "slower")  # what learning has to be worth more than
 # Way [m] from the start to just inside the crossing that a task is about.
-CROSSINGS = {task: way for task in (*SHEETS, *VARIANTS) if (way := sheet(task).crossing) is not None}
+CROSSINGS = PerTask(lambda own: own.crossing)
 
 GATES: dict[str, str] = {
     "q_bounded": f"Q-values stay below {Q_SLACK} x max |r| / (1 - gamma) on the probe states",
@@ -111,7 +111,7 @@ def _crosses(task: str, own: pd.DataFrame, references: Iterable[pd.DataFrame]) -
     def enters(episodes: pd.DataFrame) -> bool:
         return bool((episodes["distance"] >= CROSSINGS[task]).mean() >= ENTERING)
 
-    if task not in CROSSINGS or enters(own):
+    if CROSSINGS[task] is None or enters(own):
         return True
     crossing = [float(rows["return"].mean()) for rows in references if enters(rows)]
     return float(own["return"].mean()) > max(crossing) if crossing else None

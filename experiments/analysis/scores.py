@@ -19,12 +19,10 @@ from experiments.study.results.loaded import AGENT, SETTING, Results
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
-TASK_ORDER = {task: number for number, task in enumerate(tasks_known())}
-
 
 def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
     """The rows sorted by columns, tasks and traffics in the grid's order."""
-    order = {"task": TASK_ORDER, "traffic": AT_A_DOSE}
+    order = {"task": {task: number for number, task in enumerate(tasks_known())}, "traffic": AT_A_DOSE}
     return rows.sort_values(
         list(columns), key=lambda column: column.map(order[column.name]) if column.name in order else column
     )

@@ -10,8 +10,8 @@ import pandas as pd
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.effects import ALL_TASKS
-from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting.tables import BACKENDS, NONE, chosen, effect, points, titled, wide, with_setting
+from experiments.study.design.levels import tasks_known
 from experiments.study.design.traffic import TRAFFICS
 
 WITHOUT_EVENTS = "only-parameters"
@@ -46,7 +46,7 @@ def by_task(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFram
     """
     where = places(analysis, backend)
     asked = list(where)[2:] if away else list(where)[:2]
-    rows = chosen(analysis.by_task, backend=backend, scope=list(TASK_ORDER))
+    rows = chosen(analysis.by_task, backend=backend, scope=tasks_known())
     lines = []
     for task, own in rows.groupby("scope", sort=False):
         for simulator, traffic in asked:
@@ -65,7 +65,7 @@ def by_task(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFram
 def means_of_tasks(analysis: Analysis, backend: str) -> pd.DataFrame:
     """The difference in the crash rate as a mean over tasks, and without each task in turn."""
     where = places(analysis, backend)
-    scopes = [ALL_TASKS, *(f"without {task}" for task in TASK_ORDER)]
+    scopes = [ALL_TASKS, *(f"without {task}" for task in tasks_known())]
     rows = chosen(analysis.by_task, backend=backend, outcome="crashed", scope=scopes)
     if rows["scope"].nunique() < 3:
         return pd.DataFrame()  # of one task there is no mean
@@ -87,7 +87,7 @@ def sides(analysis: Analysis, backend: str, outcome: str, place: tuple[str, str]
         for row in chosen(analysis.primary, backend=backend, term=place[1]).to_dict("records"):
             found[row["verdict"]].append(row["scope"])
         return found
-    rows = chosen(analysis.by_task, backend=backend, scope=list(TASK_ORDER), outcome=outcome)
+    rows = chosen(analysis.by_task, backend=backend, scope=tasks_known(), outcome=outcome)
     rows = chosen(rows, tested_on=place[0], traffic=place[1])
     for row in rows.to_dict("records"):
         side = "less" if row["high"] < 0 else "more" if row["low"] > 0 else "open"

@@ -24,9 +24,9 @@ from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
 from experiments.analysis.plan import ALPHA
-from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting.tables import MINUS
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
+from experiments.study.design.levels import tasks_known
 from experiments.study.design.traffic import TRAFFICS
 
 WIDTH = 7.2  # [inch]
@@ -132,7 +132,7 @@ def _legend(figure: Any, arms: list[str], policies: list[str], **more: Any) -> N
 
 def by_task(frame: pd.DataFrame, rows: int, height: float, **options: Any) -> tuple[Figure, dict[str, Any]]:
     """A figure with a column for each task: by task its axes from top to bottom."""
-    tasks = sorted(frame["task"].unique(), key=TASK_ORDER.__getitem__)
+    tasks = sorted(frame["task"].unique(), key=tasks_known().index)
     figure, axes = new_figure(rows, len(tasks), height, **options)
     columns = dict(zip(tasks, axes.T, strict=True))
     for task, column in columns.items():

@@ -19,11 +19,12 @@ from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA, Outcome, Plan, plan_of
-from experiments.analysis.scores import TASK_ORDER, with_outcomes
+from experiments.analysis.scores import with_outcomes
 from experiments.reporting import by_task, figures, tables, takeover
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
 from experiments.study.design.arms import ARMS, DOSE_ARMS
+from experiments.study.design.levels import tasks_known
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import verdicts
 from experiments.study.results.loaded import Results
@@ -132,7 +133,7 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "answered": bool(risky) and risky["status"] == OK,
         "risky": risky,
         "settings": risky.get("settings", 0),
-        "exploratory": [] if risky else [task for task in TASK_ORDER if task in set(single["task"])],
+        "exploratory": [] if risky else [task for task in tasks_known() if task in set(single["task"])],
         "where": [
             {
                 **{"words": words, "simulator": place[0], "traffic": place[1]},

@@ -19,8 +19,9 @@ from experiments.analysis.competence import WORDS
 from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES, Outcome
-from experiments.analysis.scores import TASK_ORDER, in_order
+from experiments.analysis.scores import in_order
 from experiments.study.design.arms import ARMS
+from experiments.study.design.levels import tasks_known
 from experiments.study.design.traffic import TRAFFICS, UNSEEN
 
 MINUS = "\N{MINUS SIGN}"
@@ -169,7 +170,7 @@ def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
 def own(analysis: Analysis, backend: str, outcomes: Mapping[str, Outcome]) -> pd.DataFrame:
     """Outcomes of the user's own, from control to treated agents: by task, and over all tasks if they are poolable."""
     rows = chosen(main(analysis.means, backend), outcome=list(outcomes), term=list(TRAFFICS))
-    rows = chosen(rows, scope=[ALL_TASKS, *TASK_ORDER])
+    rows = chosen(rows, scope=[ALL_TASKS, *tasks_known()])
 
     def cells(row: Mapping[str, Any]) -> dict[str, str]:
         kind = outcomes[row["outcome"]]

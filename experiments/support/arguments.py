@@ -10,7 +10,6 @@ from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
 import tyro
 
 from experiments.support.errors import UserError, run_command
-from sumo_env.tasks import TASKS
 
 T = TypeVar("T")
 SWITCH = {"true": True, "yes": True, "false": False, "no": False}  # what a flag takes
@@ -25,10 +24,6 @@ def argument(metavar: str, none: str = "none", help: str | None = None) -> Any:
         return f"(default: {none if default in ('', 'None') else default})"
 
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, help=help)
-
-
-TASK = argument("TASK ...", "those of the study", f"Some of {', '.join(TASKS)}.")
-TaskNames = Annotated[tuple[str, ...], TASK]
 
 
 def command(

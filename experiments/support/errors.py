@@ -29,8 +29,6 @@ class UserError(Exception):
 
 def unknown(kind: str, word: object, known: Iterable[object]) -> UserError:
     """The error for a name that does not exist, see `agents.plugins.unknown`."""
-    if kind == "task" and ":" in str(word):
-        return UserError(f"{word}: a task of your own is added to a clone, see docs/developers/extending.md")
     return UserError(str(plugins.unknown(kind, str(word), map(str, known))))
 
 

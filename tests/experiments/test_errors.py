@@ -17,7 +17,7 @@ from experiments.study.design.levels import choose_levels, choose_tasks
 from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.results.loaded import load
 from experiments.study.results.store import Store
-from experiments.support.arguments import split_arguments
+from experiments.support.arguments import parsed, split_arguments
 from experiments.support.errors import UserError
 from experiments.support.films import check_film
 from experiments.sweep import Options, sweep
@@ -114,7 +114,7 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (swept(settings=("device=toaster",)), "device toaster"),
     (swept(executor="slurm"), "--executor slurm is for machines"),
     (partial(evaluate_card, "slower", tasks=("uturn",)), "did you mean 'u-turn'"),
-    (partial(evaluate_card, "slower", tasks=("mine.py:Mine",)), "is added to a clone"),
+    (lambda: parsed(rare.Options, ["idle", "--task", "my.py:Mine"], ""), "There is no file my.py"),
     (partial(evaluate_card, "treatment", tasks=("merge",)), "cannot drive merge"),
     (partial(evaluate_card, "slower", tasks=("u-turn",), out=Path("mine.py")), "mine.py"),
     (partial(evaluate_card, "."), "has weights:"),

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import pytest
 from PIL import Image
 
-import sumo_env
 from experiments import (
     attainable,
     doses,
@@ -26,41 +26,43 @@ from experiments import (
     validate,
     watch,
 )
-from experiments.analysis.scores import TASK_ORDER
 from experiments.backends import has
 from experiments.study.design.levels import tasks_known
 from experiments.study.design.presets import of_preset, tuned
-from experiments.study.design.sheet import SHEETS, task_of
+from experiments.study.design.sheet import SHEETS, PerTask, own_task, task_of
 from experiments.study.results.store import Store
+from experiments.support.arguments import parsed
 from experiments.support.errors import UserError
 from experiments.support.films import PANEL
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.highway import Highway
+from tests.processes import ended
 
 OWN = "own-road"
 
 
-class OwnRoad(Highway):
-    """On SUMO alone."""
+MINE = """
+from experiments.study.design.sheet import Sheet
+from sumo_env.tasks.highway import Highway
 
-    name = OWN
+
+class OwnRoad(Highway):
+    name = "own-road"
     reference = None
-    versions: ClassVar[Any] = ()
-    levels: ClassVar[Any] = {
-        "5": {"vehicles_count": 5, "duration": 4},
-        "8": {"vehicles_count": 8, "duration": 4},
-    }
+    versions = ()
+    levels = {"5": {"vehicles_count": 5, "duration": 4}, "8": {"vehicles_count": 8, "duration": 4}}
+    sheet = Sheet(return_range=4.0, episode_length=4)
+"""
 
 
 @pytest.fixture
-def own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A task that a user has added, with its sheet and its id."""
-    monkeypatch.setitem(TASKS, OWN, OwnRoad())
-    monkeypatch.setitem(SHEETS, OWN, SHEETS["highway"])
-    monkeypatch.setitem(TASK_ORDER, OWN, len(TASK_ORDER))  # which is made of TASKS at the import
-    sumo_env.register(f"sumo/{OWN}-v0", OwnRoad())
-    yield
-    del gym.registry[f"sumo/{OWN}-v0"]
+def own(tmp_path: Path) -> Iterator[str]:
+    """A task in a file of a user's, on SUMO alone, as a command line names it."""
+    file = tmp_path / "mine.py"
+    file.write_text(MINE)
+    yield f"{file}:OwnRoad"
+    for known in (TASKS, SHEETS):
+        known.pop(OWN, None)
+    gym.registry.pop(f"sumo/{OWN}-v0", None)
 
 
 @pytest.fixture
@@ -77,7 +79,7 @@ def small(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def every_command(task: str, home: Path) -> None:
     trained = home / "trained"
-    learners = tuned({task: 20, task_of(task): 20}, warm_up=20)
+    learners = PerTask(lambda own: tuned(own, 20, warm_up=20))
     few: dict[str, Any] = {"tasks": (task,), "levels": (1,), "seeds": 1, "episodes": 1, "learners": learners}
     options = of_preset(train.Options, "smoke", **few, arms=("treatment",), out=trained)
     assert train.train(options, []) == 0
@@ -121,11 +123,32 @@ def every_command(task: str, home: Path) -> None:
 
 
 def test_every_command_takes_a_task_of_one_s_own(
-    own: None, small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    own: str, small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a report without figures, which are in the long lane."""
     monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
-    every_command(OWN, tmp_path)
+    [task] = parsed(doses.Options, ["--out", "x", "--task", own], "").tasks
+    assert parsed(rare.Options, ["idle", "--tasks", own], "").task is task == OWN
+    every_command(task, tmp_path)
+
+
+def test_a_process_that_is_sent_the_name_of_a_task_of_one_s_own_has_it(own: str, tmp_path: Path) -> None:
+    name = pickle.dumps(own_task(own))
+    script = (
+        f"import pickle; from sumo_env.tasks import TASKS; print(TASKS[pickle.loads({name!r})].levels.keys())"
+    )
+    assert "['5', '8']" in ended("-c", script).stdout
+    (tmp_path / "mine.py").write_text(MINE + "\n")
+    assert "has changed since this command began" in ended("-c", script).stderr
+
+
+def test_a_file_without_a_task_and_its_sheet_says_what_is_missing(own: str, tmp_path: Path) -> None:
+    for name, words in (("Highway", "attribute sheet"), ("Other", "defines no Other")):
+        with pytest.raises(UserError, match=words):
+            own_task(own.replace("OwnRoad", name))
+    (tmp_path / "mine.py").write_text(MINE.replace(OWN, "highway"))
+    with pytest.raises(UserError, match="there is a task 'highway' already"):
+        own_task(own)
 
 
 @pytest.mark.long

@@ -254,7 +254,7 @@ class Experiment:
         from agents.learners import learner
         from agents.models import network_class
 
-        said = {**self.learners[task_of(task)]}
+        said = {**self.learners[task]}
         ruled = {name: said.pop(name) for name in RULES if name in said}
         asked = {"updates": self.updates, "network": self.network}
         files = {}

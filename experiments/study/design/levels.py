@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from experiments.study.design.sheet import GRID, VARIANTS, sheet, task_of
+from tyro.constructors import PrimitiveConstructorSpec
+
+from experiments.study.design.sheet import GRID, VARIANTS, own_task, sheet, task_of
 from experiments.support.arguments import argument
 from experiments.support.errors import UserError, check_known, unknown
 from sumo_env.config import TYPES, resolve
@@ -29,8 +31,26 @@ def tasks_known() -> tuple[str, ...]:
     return tuple(sorted((*TASKS, *VARIANTS), key=lambda name: [*TASKS].index(task_of(name))))
 
 
+# A task by its name, or one of the user's own.
+TaskName = Annotated[
+    str,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="TASK",
+        instance_from_str=lambda words: own_task(words[0]) if ":" in words[0] else words[0],
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda value: [value],
+    ),
+]
 StudyTasks = Annotated[
-    tuple[str, ...], argument("TASK ...", "those of the study", f"Some of {', '.join(tasks_known())}.")
+    tuple[TaskName, ...],
+    argument(
+        "TASK ...", "those of the study", f"Some of {', '.join(tasks_known())}, or FILE:TASK, your own."
+    ),
+]
+# of commands that read stored results
+OwnTasks = Annotated[
+    tuple[TaskName, ...], argument("FILE:TASK ...", help="Tasks of your own that are in the results.")
 ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -10,7 +10,7 @@ from experiments.backends import MakeEnv, make_env
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Dynamics, Experiment
 from experiments.study.design.fingerprint import dynamics
-from experiments.study.design.sheet import GRID, SHEETS
+from experiments.study.design.sheet import GRID, PerTask, Sheet
 from experiments.study.design.traffic import UNSEEN
 from experiments.support.errors import UserError, check_known
 from sumo_env.config import MEASURED
@@ -43,21 +43,16 @@ SETTINGS = {
     "two-way": (1, 2),
     "two-way-brakes": (1,),
 }
-# How training episodes end, by task (see `wrappers`): with a longer clock than the test's, of which the share that is
-# over is observed in both.
-LONGER = {
-    task: {"training_clock": [own.clock, own.clock], "time_observed": own.clock}
-    for task, own in SHEETS.items()
-    if own.clock
-}
 
 
-def tuned(updates: Mapping[str, int], **settings: Any) -> dict[str, dict[str, Any]]:
-    """The profile "tuned" by task: the defaults of `agents.dqn.DQNConfig`, but for these.
+def tuned(own: Sheet, updates: int, **settings: Any) -> dict[str, Any]:
+    """The profile "tuned" of a task: the defaults of `agents.dqn.DQNConfig`, but for these.
 
-    updates: budget of an agent by task.
+    Training episodes may have a longer clock than the test's, of which the share that is over is observed in both (see
+    `wrappers`).
     """
-    return {task: {"updates": budget, **LONGER.get(task, {}), **settings} for task, budget in updates.items()}
+    longer = {"training_clock": [own.clock, own.clock], "time_observed": own.clock} if own.clock else {}
+    return {"updates": updates, **longer, **settings}
 
 
 PRESETS = {
@@ -70,7 +65,7 @@ PRESETS = {
             seeds=1,
             episodes=4,
             gate_episodes=4,
-            learners=tuned(dict.fromkeys(SHEETS, 400), warm_up=200),
+            learners=PerTask(lambda own: tuned(own, 400, warm_up=200)),
         ),
         Experiment(
             preset="quick",
@@ -79,7 +74,7 @@ PRESETS = {
             seeds=3,
             episodes=50,
             gate_episodes=100,
-            learners=tuned({task: own.quick_updates for task, own in SHEETS.items()}),
+            learners=PerTask(lambda own: tuned(own, own.quick_updates)),
         ),
         Experiment(
             preset="study",
@@ -88,7 +83,7 @@ PRESETS = {
             seeds=5,
             episodes=400,
             gate_episodes=100,
-            learners=tuned({task: own.study_steps for task, own in SHEETS.items()}),
+            learners=PerTask(lambda own: tuned(own, own.study_steps)),
             first_seed=800,
             first_scenario=8000,
             test_on=("replica",),
@@ -102,10 +97,7 @@ PRESETS = {
             seeds=10,
             episodes=100,
             gate_episodes=100,
-            learners={
-                task: {"updates": PAPER_EPISODES * own.episode_length, **PAPER}
-                for task, own in SHEETS.items()
-            },
+            learners=PerTask(lambda own: {"updates": PAPER_EPISODES * own.episode_length, **PAPER}),
         ),
     )
 }

@@ -1,16 +1,22 @@
 """What is studied about a task, on one sheet a task: all that the study knows of a task by its name.
 
-A task of your own is studied by a further entry (docs/own-parts.md). What is asked of a task without a sheet is an
-error that names the file. `GRID` is the paper's 18 settings. `VARIANTS` are tasks under another configuration.
+A task of your own has its sheet as an attribute (`own_task`, docs/own-parts.md). What is asked of a task without a
+sheet is an error that names the file. `GRID` is the paper's 18 settings. `VARIANTS` are tasks under another
+configuration.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
-from experiments.support.errors import UserError
+import sumo_env
+from agents.plugins import load_object, sha256, split
+from experiments.support.errors import UserError, in_words
+from sumo_env.tasks import TASKS, Task
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -133,3 +139,60 @@ def sheet(task: str) -> Sheet:
             f"be studied: add its sheet there (there are {', '.join(SHEETS)})"
         )
     return SHEETS[task]
+
+
+class PerTask(Mapping[str, T]):
+    """What follows from the sheet of each task, also of one that is added later."""
+
+    def __init__(self, make: Callable[[Sheet], T]) -> None:
+        self._make = make
+
+    def __getitem__(self, task: str) -> T:
+        return self._make(sheet(task))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*SHEETS, *VARIANTS))
+
+    def __len__(self) -> int:
+        return len(SHEETS) + len(VARIANTS)
+
+
+class OwnTask(str):
+    """The name of a task in a user's file. Every process that it is sent to has the task then."""
+
+    where: tuple[str, str]  # FILE:TASK, and the SHA-256 of the file
+
+    def __reduce__(self) -> Any:
+        return own_task, self.where
+
+
+@in_words()
+def own_task(source: str, digest: str = "") -> OwnTask:
+    """Add the task of "FILE:TASK" to those that there are, with its attribute `sheet` and the id sumo/NAME-v0.
+
+    digest: SHA-256 of the file, where it is known.
+
+    Raises:
+        UserError: there is no such task, it has no sheet, its name is taken, or the file has changed.
+    """
+    file, name = split(source)
+    where = f"{file.absolute()}:{name}", sha256(file)
+    if digest not in ("", where[1]):
+        raise UserError(f"{file} has changed since this command began: run the command again")
+    there = {own.where: own for own in TASKS if isinstance(own, OwnTask)}
+    if where not in there:
+        found = load_object(source)
+        task = found() if isinstance(found, type) else found
+        about = getattr(task, "sheet", None)
+        if not isinstance(task, Task) or not isinstance(about, Sheet):
+            raise UserError(
+                f"{source} must be a sumo_env.Task with an attribute sheet, an "
+                "experiments.study.design.sheet.Sheet(return_range=..., episode_length=...)"
+            )
+        if task.name in TASKS or task.name in VARIANTS:
+            raise UserError(f"{source}: there is a task {task.name!r} already, choose another name")
+        there[where] = own = OwnTask(task.name)
+        own.where = where
+        TASKS[own], SHEETS[own] = task, about
+        sumo_env.register(f"sumo/{own}-v0", task)
+    return there[where]

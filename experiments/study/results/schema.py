@@ -82,7 +82,7 @@ def check_record(name: str, record: Any) -> None:
             "commits that read published ones"
         )
     if (task := record["key"]["task"]) not in tasks_known():
-        raise ValueError(f"its task {task!r} is not here: import what adds it to TASKS")
+        raise ValueError(f"its task {task!r} is not here: name its file, --tasks FILE:TASK")
     if (own := cell_name(record["key"], record["versions"])) != name:
         raise ValueError(f"its content is that of {own}")
 

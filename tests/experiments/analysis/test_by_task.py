@@ -53,7 +53,7 @@ def plain_means(rows: pd.DataFrame) -> pd.Series:
     """Of one arm in one traffic, by outcome: over episodes of an agent, agents, levels of a task, tasks."""
     scores = rows.assign(
         hard_crash=(rows["crashed"] == 1) & (rows["crash_closing_speed"] >= 10),
-        entered=rows["distance"] >= rows["task"].map(CROSSINGS).astype(float),
+        entered=rows["distance"] >= rows["task"].map(dict(CROSSINGS)).astype(float),
     )
     agents = scores.groupby(["task", "level", "seed"])
     value = agents.mean(numeric_only=True)

@@ -83,7 +83,7 @@ def test_an_agent_has_to_be_two_standard_errors_above_the_best_constant_policy(a
     assert found["beats_constant"] is passed
 
 
-@pytest.mark.parametrize("task", list(CROSSINGS))
+@pytest.mark.parametrize("task", [task for task, way in CROSSINGS.items() if way])
 def test_entering_in_half_of_the_scenarios_is_enough(task: str) -> None:
     way = np.where(np.arange(N) < N // 2, CROSSINGS[task] + 1, CROSSINGS[task] - 1)
     agent = episodes("agent", 9 + LUCK).assign(distance=way)

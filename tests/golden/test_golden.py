@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
-
 import pytest
 
 from sumo_env.tasks import TASKS
 from tests.golden import outcomes, scenes
 from tests.golden.regenerate import read
-from tests.tasks import PUBLISHED, every_task
+from tests.tasks import every_task
 
 SHOWN = 12  # differences in a failure's message; the first ones say most
 
@@ -25,18 +22,12 @@ def test_first_steps_are_the_golden_ones(task: str) -> None:
     assert not found, report(found)
 
 
-def cells() -> Iterator[Any]:
-    """Every day the densest risky traffic; of published tasks, whose fingerprints hold more, the others are long."""
-    for task in TASKS:
-        *others, densest = scenes.cells(task)
-        marks = [pytest.mark.long] if task in PUBLISHED else []
-        yield from (pytest.param(task, *cell, marks=marks) for cell in others)
-        yield pytest.param(task, *densest)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("task", "level", "risk"), list(cells()))
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("task", "level", "risk"), [(task, *cell) for task in TASKS for cell in scenes.cells(task)]
+)
 def test_episodes_end_as_the_golden_ones(task: str, level: str, risk: float) -> None:
+    """Before a release; every day study/test_fingerprint.py holds whole episodes of these tasks."""
     golden = read(f"outcomes/{task}.json")[f"level {level}, risk {risk:g}"]
     found = outcomes.differences(outcomes.drive(task, level, risk), golden)
     assert not found, report(found)

@@ -14,11 +14,11 @@ from experiments.study.design.fingerprint import check_dynamics, check_learners,
 from experiments.study.design.verdict import verdicts, versions
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
-from tests.tasks import PUBLISHED, published_task
+from tests.tasks import PUBLISHED, every_task
 
 
 @pytest.mark.parametrize("backend", ["sumo", "replica"])
-@published_task
+@every_task
 def test_the_simulators_do_what_they_did(backend: str, task: str) -> None:
     check_dynamics([(backend, task)])
 

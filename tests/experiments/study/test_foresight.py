@@ -19,10 +19,8 @@ from experiments.study.design.arms import scenario_seed
 from experiments.study.design.levels import env_config, level_names
 from experiments.study.design.sheet import task_of
 
-SETTINGS = [
-    (task, level) for task in ("two-way", "roundabout", "intersection", "u-turn") for level in (1, -1)
-]
-SETTINGS += [("highway", 1), ("two-way-brakes", 2)]
+SETTINGS = [("highway", 1), ("two-way", 1), ("two-way-brakes", -1)]
+SETTINGS += [("roundabout", 1), ("intersection", -1), ("u-turn", -1)]
 
 
 class Setting:

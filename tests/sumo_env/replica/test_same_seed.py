@@ -65,7 +65,7 @@ def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
     """By default, and under other configurations; every second episode goes on with the stream of the one before."""
     assert different(*pair(task, {}), (1,) if task == "highway" else (1, 2)) == []
     for config in CONFIGS[task]:
-        assert different(*pair(task, config), (31, 32)) == [], config
+        assert different(*pair(task, config), (31,)) == [], config
 
 
 @pytest.mark.long
@@ -158,7 +158,7 @@ def test_some_episodes_are_those_of_highway_env(task: str) -> None:
     if task == "highway":  # the highest levels take highway-env a minute each
         chosen = [case._replace(level="50") for case in chosen]
     else:
-        linear = cases(task, 2, seed=2)
+        linear = cases(task, 1, seed=2)
         chosen += [case._replace(law="linear", risk=0.5 + 0.5 * case.risk) for case in linear]
     assert unlike(chosen) == {}
 

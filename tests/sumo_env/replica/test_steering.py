@@ -104,7 +104,7 @@ def test_a_steered_episode_is_that_of_highway_env(task: str) -> None:
 @pytest.mark.parametrize(("task", "action"), WAYS, ids=str)
 def test_every_way_to_steer(action: dict[str, Any], task: str) -> None:
     """Also among cars that are not far from the ego, that give way to it, and on two lanes around a bend."""
-    assert different(*steered(task, {"action": action}), range(2), wild) == []
+    assert different(*steered(task, {"action": action}), range(1), wild) == []
 
 
 @pytest.mark.slow

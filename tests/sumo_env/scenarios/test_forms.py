@@ -116,9 +116,6 @@ CONTENTS: dict[str, dict[str, str]] = {
     "an end of days": {"r": ROUTES.replace('end="99"', 'end="1:00:00:00"')},
     "no limit to gains": {"a": '<vType id="DEFAULT_VEHTYPE" lcSpeedGain="inf" lcStrategic="1e10"/>'},
     "a class of nobody": {"r": f'<vType id="t" vClass="unknown"/><vType id="u" vClass=""/>{ROUTES}'},
-    "a hundred a second": {
-        "r": f'{EGO}<flow id="g" begin="0" end="3" period="0.006" from="A0A1" to="B1B0"/>'
-    },
     "lines that are not sorted": {
         "r": f'<flow id="a" line="1" begin="6" end="60" period="30" from="A0A1" to="A1B1"/>'
         f'<flow id="b" line="2" begin="2" end="60" period="30" from="A0A1" to="A1B1"/>{EGO}'
@@ -127,17 +124,11 @@ CONTENTS: dict[str, dict[str, str]] = {
         "r": f'{EGO}<trip id="late" depart="5" from="A0A1" to="B1B0"/>{ROUTES.replace("ego", "e")}'
     },
     "no file of what is included": {"r": f'{ROUTES}<include href="nobody.xml"/>'},
-    "a number of vehicles with words": {
-        "r": f'{EGO}<flow id="g" begin="0" end="60" number="30" departLane="random" departPos="random_free" {WAY}/>'
-    },
     "a bus stop and a parking area": {
         "a": f'<busStop id="s" {PLACE}/><parkingArea id="p" {PLACE} roadsideCapacity="3"/>',
         "r": f'{EGO}<vehicle id="v" depart="0"><route edges="A0A1 A1B1 B1B0"/><stop busStop="s" duration="3"/>'
         '</vehicle><vehicle id="w" depart="1"><route edges="A0A1 A1B1 B1B0"/><stop parkingArea="p" duration="9"/>'
         "</vehicle>",
-    },
-    "a sign of speed": {
-        "a": '<variableSpeedSign id="v" lanes="A0A1_0 A0A1_1"><step time="3" speed="4"/></variableSpeedSign>'
     },
     "districts": {
         "a": '<taz id="y"><tazSource id="A0A1" weight="1"/></taz><taz id="z"><tazSink id="B1B0" weight="1"/></taz>',

@@ -87,11 +87,11 @@ def test_equal_throughout_episodes(task: str, risk: float) -> None:
 @highway_env_task
 def test_equal_in_random_states(task: str) -> None:
     env = make(task)
-    for seed in range(4):
+    for seed in range(3):
         env.reset(seed=seed)
         rng = np.random.default_rng(seed)
         route = env.vehicle.route
-        for _ in range(15):
+        for _ in range(10):
             scatter(env, rng)
             if route:  # as `follow_road` leaves it: it begins with the road that is steered for, or has ended
                 roads = [road[:2] for road in route]
@@ -113,15 +113,14 @@ def test_features_that_highway_env_lacks_are_equal_in_its_tables(task: str) -> N
     ):
         observation = {"type": "Kinematics", "features": ["presence", "x", "vy", *APPROACH], **form}
         env = make(task, observation=observation)
-        for seed in range(2):
-            env.reset(seed=seed)
-            rng = np.random.default_rng(seed)
-            for _ in range(8):
-                scatter(env, rng)
-                generator = copy.deepcopy(env.np_random)
-                found, expected = ours(env, observation, generator), env.observation_type.observe()
-                np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
-                assert found.shape == env.observation_space.shape
+        env.reset(seed=0)
+        rng = np.random.default_rng(0)
+        for _ in range(8):
+            scatter(env, rng)
+            generator = copy.deepcopy(env.np_random)
+            found, expected = ours(env, observation, generator), env.observation_type.observe()
+            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+            assert found.shape == env.observation_space.shape
 
 
 @highway_env_task

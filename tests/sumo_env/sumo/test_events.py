@@ -249,23 +249,6 @@ def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
     np.testing.assert_array_equal(scenes[0].y, scenes[1].y)
 
 
-def test_cut_ins_look_for_the_longest_vehicle_once_in_a_sub_step(simulator: SumoSimulator) -> None:
-    looked = 0
-
-    class Sizes(dict[str, tuple[float, float]]):
-        def values(self) -> Any:
-            nonlocal looked
-            looked += 1
-            return super().values()
-
-    scenario = draw("highway", vehicles_count=40)
-    events = tuple(RiskEvent(0.0, spec.id, "cut-in", direction=1) for spec in scenario.vehicles)
-    simulator.reset(replace(scenario, events=events))
-    simulator._session.sizes = Sizes()
-    assert len(simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}).scene.in_event) > 5
-    assert looked == 1
-
-
 def test_surging_vehicles_look_at_those_near_them_who_are_read_once_in_a_sub_step(
     simulator: SumoSimulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:

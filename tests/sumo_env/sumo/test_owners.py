@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import libsumo
@@ -20,7 +19,7 @@ from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, NO_RULES, OWN_LANE_CHANGES, REGULAR
-from sumo_env.sumo.vehicle import OF_SUMO, Vehicle, modes
+from sumo_env.sumo.vehicle import modes
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.drivers import deviation
@@ -148,16 +147,3 @@ def test_after_any_events_a_vehicle_of_files_is_sumo_s(tmp_path: Path, name: str
             over = over or late
     env.close()
     assert len(acted) > 10
-
-
-def test_a_crashed_vehicle_gives_nothing_back() -> None:
-    of: Any = SimpleNamespace(
-        **dict.fromkeys(("setSpeedMode", "setLaneChangeMode", "setSpeed"), lambda *_: None)
-    )
-    session: Any = SimpleNamespace(vehicle=of)
-    vehicle = Vehicle(session, "v0", OF_SUMO)
-    vehicle.crash(9.0)
-    held = vehicle.now
-    vehicle.free_speed()
-    vehicle.free_lanes()
-    assert vehicle.now == held != OF_SUMO and vehicle.has_speed and vehicle.has_lanes

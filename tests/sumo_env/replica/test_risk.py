@@ -88,6 +88,14 @@ def test_a_surge_that_pauses_is_not_marked() -> None:
     assert marked(driven(scenario("highway", surge, lanes_count=1), 1, "v0"), "v0") == []
 
 
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_a_cut_in_goes_to_the_only_lane_there_is(direction: int) -> None:
+    event = RiskEvent(0.0, "v0", "cut-in", direction=direction)
+    seen = driven(scenario("highway", event, lanes_count=2, vehicles_count=1), 4, "v0")
+    y = [scene.y[row] for scene, row in seen]
+    assert abs(y[-1] - y[0]) == pytest.approx(4.0, abs=0.5), "of two lanes the one on the event's side, or else the other"
+
+
 def test_a_swerve_on_the_two_way_road_comes_back() -> None:
     drawn = scenario(
         "two-way", RiskEvent(0.2, "v0", "cut-in", direction=1), vehicles_count=1, oncoming_vehicles_count=0

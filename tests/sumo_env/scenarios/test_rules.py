@@ -73,12 +73,18 @@ def test_a_closed_lane_is_not_available_also_if_it_is_closed_on_the_way(tmp_path
 
 
 def test_a_route_that_sumo_changes_on_the_way_is_the_ego_s(tmp_path: Path) -> None:
+    """From then on its steps are paid their metres of the new way."""
     env = start(road(tmp_path, ""))
-    env.step(IDLE)
+    infos = [env.step(IDLE)[4] for _ in range(12)]
     assert env.scene.place.ahead == ("ab", "bc")
     env.sumo.vehicle.setRoute("ego", ["ab", "bd"])
-    env.step(IDLE)
+    infos.append(env.step(IDLE)[4])
     assert env.scene.place.ahead == ("ab", "bd") and np.isfinite(env.scene.place.free)
+    env.hand_over()
+    infos += [info for *_, info in drive(env, IDLE)]
+    metres = np.array([info["distance"] for info in infos])
+    shares = np.array([info["rewards"]["progress_reward"] for info in infos])
+    assert infos[-1]["arrived"] and shares[12:] == pytest.approx(metres[12:] / metres.sum(), abs=1e-3)
 
 
 def test_a_turn_is_missed_where_the_ego_can_no_longer_turn(tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def test_a_cut_in_goes_to_the_only_lane_there_is(direction: int) -> None:
     event = RiskEvent(0.0, "v0", "cut-in", direction=direction)
     seen = driven(scenario("highway", event, lanes_count=2, vehicles_count=1), 4, "v0")
     y = [scene.y[row] for scene, row in seen]
-    assert abs(y[-1] - y[0]) == pytest.approx(4.0, abs=0.5), "of two lanes the one on the event's side, or else the other"
+    assert abs(y[-1] - y[0]) == pytest.approx(4.0, abs=0.5), "no lane on the event's side: the other one"
 
 
 def test_a_swerve_on_the_two_way_road_comes_back() -> None:

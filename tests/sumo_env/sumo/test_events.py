@@ -154,7 +154,7 @@ def test_a_kind_of_a_user_s_own_commands_pauses_and_gives_back(
             if scene.time == 5.0:
                 gaps.append(scene.x[1] - scene.x[2])
                 assert scene.in_event == ({"v1"} if events and acts else set())
-        assert taus[0] == taus[-1], "the kind's tau is not given back: vehicle.py, set_parameters, free_parameters"
+        assert taus[0] == taus[-1], "not given back: vehicle.py, set_parameters, free_parameters"
         assert (0.1 in taus) == (bool(events) and acts)
     assert (gaps[1] < gaps[0] - 5.0) == acts
     assert Tailgating.given_back == ["v1"] * acts

@@ -117,9 +117,11 @@ def test_a_traffic_that_two_cells_test_counts_once(tmp_path: Path) -> None:
     """An agent's own test counts, then the test that was asked for last; the others are named."""
     synthetic.write(tmp_path, LEVELS, **STUDY, traffics=("dose25", "dose75"))
     cells = synthetic.write(tmp_path, LEVELS, **STUDY, traffics=("dose25", "dose50"))
-    for agent in (cell for cell in cells if cell.kind == "agent"):
-        again = replace(agent, kind="test", test_on=experiment.tests_of(agent, ("risky",)))
-        Store(tmp_path).write(again, {}, {EPISODES: synthetic.episodes(again, 0.0, 0.0)})
+    every = [cell for cell in cells if cell.kind == "agent"]
+    again = [replace(one, kind="test", test_on=experiment.tests_of(one, ("risky",))) for one in every]
+    for cell in again:
+        Store(tmp_path).write(cell, {}, {EPISODES: synthetic.episodes(cell, 0.0, 0.0)})
+    Store(tmp_path).write_sweep("asked for last", again)
     results = load(tmp_path)
     chosen, left_out = comparable(results)
     assert not once_each(chosen.episodes).empty

@@ -24,7 +24,7 @@ from docs import pages, settings
 from docs.pages import filled, page_of, templates
 from experiments.reporting.road_units import MEASURED
 from experiments.study.design import attainable
-from experiments.study.design.sheet import GRID
+from experiments.study.design.sheet import GRID, VARIANTS
 from experiments.study.design.traffic import TRAFFICS
 from sumo_env.config import COMMON, FIXED, WITHOUT_EFFECT
 from sumo_env.contacts.crash import CrashRecord
@@ -260,27 +260,39 @@ def test_settings_that_learn_are_those_of_readme_s_script() -> None:
     """And their rows are complete; the table of the page is held by its template."""
     script = section(TEXTS[ROOT / "README.md"], "Train")
     given = re.search(r"DQN\(\s+\"MlpPolicy\",\s+env,(.*?)^\)", script, re.DOTALL | re.MULTILINE)
-    assert given and eval(f"dict({given[1]})") == {**settings.DQN, "seed": 0}
-    assert f"learn({settings.STEPS:_})" in script
+    assert given
+    (asked, steps), written = settings.SETTINGS["two-way-brakes/1"], eval(f"dict({given[1]})")
+    for left in (1.0, 0.5, 0.0):
+        assert written["learning_rate"](left) == asked["learning_rate"](left)
+    assert written == {**asked, "seed": 0, "learning_rate": written["learning_rate"]}
+    assert f"learn({steps:_}, progress_bar=True)" in script
+    assert f'"target_speeds": {VARIANTS["two-way-brakes"].changes["action"]["target_speeds"]}' in script
     rows = json.loads(settings.ROWS.read_text(encoding="utf-8"))
     expected = set()
     for task, steps in settings.TASKS.items():
-        env: Any = gym.make(f"sumo/{task}-v0").unwrapped
+        env: Any = settings.made(task).unwrapped
         assert env.config["duration"] * env.config["policy_frequency"] == steps
         for risk in settings.RISKS:
-            drivers = (*settings.seeds(task, risk), "random", "study", *env.actions.values())
-            expected |= {f"{task}/{risk}/{driver}" for driver in drivers}
+            expected |= {f"{task}/{risk}/{driver}" for driver in settings.drivers(env, task, risk)}
         env.close()
     assert rows.keys() == expected
-    agents = [row["crashes"] for name, row in rows.items() if re.fullmatch(r"u-turn/1/\d", name)]
-    random = rows["u-turn/1/random"]["crashes"]
-    assert settings.readme_agents() == {"count": len(agents), "crashes": median(agents), "random": random}
+    agents = [row["crashes"] for name, row in rows.items() if re.fullmatch(r"two-way-brakes/1/\d", name)]
+    found, constant = (
+        settings.readme_agents(),
+        rows[f"two-way-brakes/1/{settings.readme_agents()['constant']}"],
+    )
+    assert (found["count"], found["least"], found["most"]) == (10, min(agents), max(agents))
+    assert found["worst"] > found["of_constant"] == constant["return"]
+    random = rows["two-way-brakes/1/random"]["crashes"]
     drawn = settings.learned().set_index(["task", "traffic", "driver"])
     assert len(drawn) == 3 * len(settings.RISKS) * len(settings.TASKS)
-    line = drawn.loc["u-turn", "risky", "treatment"]
+    line = drawn.loc["two-way-brakes", "risky", "treatment"]
     ends = [line[f"crashed{end}"] for end in ("_low", "", "_high")]
     assert ends == [min(agents) / 100, median(agents) / 100, max(agents) / 100]
-    assert drawn.loc["u-turn", "risky", "control"]["crashed"] == random / 100
+    assert (
+        found["random"] == random
+        and drawn.loc["two-way-brakes", "risky", "control"]["crashed"] == random / 100
+    )
     assert drawn.loc["highway", "regular", "slower"]["mean_speed"] == rows["highway-fast/0/SLOWER"]["speed"]
 
 

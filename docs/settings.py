@@ -190,9 +190,10 @@ def trainings() -> str:
         if agents["return"].median() >= ahead:
             cells[2] = f"**{cells[2]}**"
         for name in ("study", best):
-            cells.append("/".join(f"{others.loc[name, key]:.{digits}f}" for key, digits in DIGITS.items()))
-        if others.loc["study", "return"] >= ahead:
-            cells[5] = f"**{cells[5]}**"
+            known = others.loc[name] if name in others.index else None  # no agent of a variant is published
+            shown = "–" if known is None else "/".join(f"{known[key]:.{n}f}" for key, n in DIGITS.items())
+            is_ahead = known is not None and known["return"] >= ahead
+            cells.append(f"**{shown}**" if is_ahead else shown)
         lines.append(f"| {' | '.join(cells[:-1])} | {best} {cells[-1]} |")
     return "\n".join(lines)
 

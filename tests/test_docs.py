@@ -113,7 +113,7 @@ def test_links_resolve(page: Path) -> None:
 @pytest.mark.parametrize("block", SNIPPETS)
 @pytest.mark.slow
 def test_a_snippet_runs_when_it_is_copied_alone(block: str, tmp_path: Path) -> None:
-    short = re.sub(r"learn\(\d+_\d+\)", "learn(150)", block).replace("range(5000, 5100)", "range(5000, 5002)")
+    short = re.sub(r"learn\(\d+_\d+", "learn(150", block).replace("range(5000, 5100)", "range(5000, 5002)")
     short = short.replace('"duration": 120', '"duration": 20')
     (tmp_path / "snippet.py").write_text(short, encoding="utf-8")
     python_again("-c", "import snippet", cwd=tmp_path)
@@ -289,10 +289,7 @@ def test_settings_that_learn_are_those_of_readme_s_script() -> None:
     line = drawn.loc["two-way-brakes", "risky", "treatment"]
     ends = [line[f"crashed{end}"] for end in ("_low", "", "_high")]
     assert ends == [min(agents) / 100, median(agents) / 100, max(agents) / 100]
-    assert (
-        found["random"] == random
-        and drawn.loc["two-way-brakes", "risky", "control"]["crashed"] == random / 100
-    )
+    assert drawn.loc["two-way-brakes", "risky", "control"]["crashed"] == random / 100
     assert drawn.loc["highway", "regular", "slower"]["mean_speed"] == rows["highway-fast/0/SLOWER"]["speed"]
 
 

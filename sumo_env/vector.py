@@ -108,11 +108,8 @@ class SumoVectorEnv(SyncVectorEnv):
     def _check(self, config: Mapping[str, Any]) -> None:
         """Refuse a configuration that changes a space, before any episode ends."""
         env: Any = self._ahead[0].unwrapped
-        before = env.config
-        env.configure(config)
-        spaces = env.observation_space, env.action_space
-        env.configure(before)
-        if spaces != (self.single_observation_space, self.single_action_space):
+        _, _, (actions, observations) = env._checked(config)
+        if (observations.space, actions.space) != (self.single_observation_space, self.single_action_space):
             raise ValueError("this configuration changes a space: make a new vector environment for it")
 
     def close_extras(self, **kwargs: Any) -> None:

@@ -79,7 +79,7 @@ class Cars:
         self._episode = self.first.start_episode(seed, options)
         for env in self.envs[1:]:
             if env.config != self.first.config:
-                env.configure(self.first.config)
+                env._take(*env._checked(self.first.config))
             env.np_random = self.first.np_random
             env.join_episode(self._episode)
         scenario = self._episode.scenario
@@ -225,7 +225,11 @@ class TupleEnv(gym.Env[Any, Any]):
         elif first.task.shares_reward:
             is_off = bool(first.config["offroad_terminal"]) and not states[0].on_road
             reward = sum(rewards) / count
-            end = any(state.crashed for state in states) or all(map(first.task.arrived, states)) or is_off
+            end = (
+                any(state.crashed for state in states)
+                or all(env._car.arrived for env in self.cars.envs)
+                or is_off
+            )
         if self._is_over:
             reward = (paid_late(),) * count if self._per_car else paid_late()
         self._is_over = self._is_over or truncated or (all(end) if self._per_car else end)
@@ -236,8 +240,8 @@ class TupleEnv(gym.Env[Any, Any]):
 
     def _informed(self, seen: Mapping[int, tuple[Any, ...]], rewards: list[float]) -> dict[str, Any]:
         """The first car's ``info`` with what belongs to all cars."""
-        first, states = self.cars.first, [env.ego_state for env in self.cars.envs]
-        ends = [state.crashed or bool(state.ended) or first.task.arrived(state) for state in states]
+        first, cars = self.cars.first, [env._car for env in self.cars.envs]
+        ends = [car.ego_state.crashed or bool(car.ego_state.ended) or car.arrived for car in cars]
         together: dict[str, Any] = {
             "agents_rewards": tuple(map(float, rewards)),
             "agents_terminated": tuple(ends),

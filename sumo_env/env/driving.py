@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.compat.as_highway_env import ReadAsHighwayEnv, returned
-from sumo_env.config import Config, ConfigError, refuse_arguments, tell_of_steps
+from sumo_env.config import Config, ConfigError, keys_of, refuse_arguments, tell_of_steps
 from sumo_env.env.episode import CarEpisode, EgoPlace, Episode
 from sumo_env.env.screen import Screen
 from sumo_env.env.sumo_access import SumoAccess
 from sumo_env.scene import Scene
 from sumo_env.simulator import Command, Commands, EgoCommand, Simulator, Step
-from sumo_env.spaces.factory import interface
+from sumo_env.spaces.actions import PlainAction
+from sumo_env.spaces.factory import Interface, interface
 from sumo_env.spaces.info import ending, information, on_its_way, paid_late
 from sumo_env.streams import stream
 from sumo_env.sumo.libsumo_calls import Sumo
@@ -51,8 +52,8 @@ class DrivingEnv(ReadAsHighwayEnv):
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
         sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
         live: None or ``"sumo-gui"``, SUMO's own window (docs/windows.md).
-        output_dir: on a network of your own, folder for SUMO's outputs, with files of its own for each episode of each
-            environment.
+        output_dir: folder for the files that SUMO writes, by `sumo_options` or a network of your own; each episode of
+            each environment has a folder in it.
 
     Raises:
         ConfigError: unknown task or key, wrong value.
@@ -80,13 +81,22 @@ class DrivingEnv(ReadAsHighwayEnv):
         self._access = SumoAccess(self.task, simulator, sumo_options, live, output_dir)
         self._screen = Screen(render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
-        self._configured: Config | None = None
+        self._asked = Config()  # changes for the next episode
         self.configure(config)
 
     # -- configuration -------------------------------------------------------------------------------------
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
-        """Change these keys of the configuration; they take effect at the next reset."""
+        """Change these keys of the configuration; they take effect at the next reset, before the first one at once."""
+        asked = {**self._asked, **keys_of(config)}
+        checked = self._checked(asked)
+        if "_car" in vars(self):
+            self._asked = asked
+        else:
+            self._take(*checked)
+
+    def _checked(self, config: Config) -> tuple[Config, bool, Interface]:
+        """The configuration with these changes, see `_resolved`, and its spaces. Raises ConfigError for wrong ones."""
         changed, is_raised = self._resolved(config)
         if changed.get("manual_control") and self.render_mode != "human":
             raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
@@ -96,10 +106,12 @@ class DrivingEnv(ReadAsHighwayEnv):
         self._access.refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
         if self._access.is_sumo:
             tell_of_steps(self.task.frequency(changed))
-        self._offered = offered
-        self.config: Config = changed  # after all checks: an error leaves the environment as it was
-        self._is_raised = is_raised
-        self._configured = copy.deepcopy(changed)
+        return changed, is_raised, offered
+
+    def _take(self, config: Config, is_raised: bool, offered: Interface) -> None:
+        """The next episode has this configuration."""
+        self.config, self._is_raised, self._offered, self._asked = config, is_raised, offered, {}
+        self._configured = copy.deepcopy(config)
         self.define_spaces()
         self._set_frame_rate()
 
@@ -136,9 +148,11 @@ class DrivingEnv(ReadAsHighwayEnv):
         """Draw the traffic of an episode and let it drive until the ego is there, see `reset`."""
         super().reset(seed=seed)
         options = reset_options.checked(options)
-        # also without options: users of highway-env write to env.unwrapped.config directly
-        if options.get("config") or self.config != self._configured:
-            self.configure(options.get("config"))
+        asked = {**self._asked, **keys_of(options.get("config"))}
+        if (
+            asked or self.config != self._configured
+        ):  # users of highway-env write to env.unwrapped.config directly
+            self._take(*self._checked(asked))
         task = reset_options.varied(self.task, options, self.config["risk"])
         tilt = asked_tilt(options, task.risk_rates, self.config["risk"], self.config["duration"])
         try:
@@ -170,7 +184,7 @@ class DrivingEnv(ReadAsHighwayEnv):
         self._car = car = CarEpisode(self._car.episode, ego, scene)
         car.rng = self._shuffling(car)
         speed = ego.speed if scene.place is None else scene.speed.item(0)  # SUMO has placed the ego
-        car.look(self._ego_place(), None, nearest_index(speed, self.target_speeds), len(self.target_speeds))
+        self._look(None, nearest_index(speed, self.target_speeds))
         self._film((scene,))
         observation = self._observe()
         return observation, returned(self, "_info", self._info(observation, None), dict)
@@ -228,17 +242,23 @@ class DrivingEnv(ReadAsHighwayEnv):
         index = nearest_index(speed, speeds) if aim is None else speeds.index(aim)
         plain = self._action_type.plain(action)
         action = plain if isinstance(plain, int) else np.array(action, np.float32)
-        car.look(self._ego_place(), plain, index, len(speeds))
+        self._look(plain, index)
         observation = self._observe()
         reward = returned(self, "_reward", self._reward(action), float)
         terminated = bool(self._is_terminated()) or bool(car.ego_state.ended)
         truncated = bool(self._is_truncated())
-        car.ending = ending(car.ego_state, self.task.arrived(car.ego_state), terminated, truncated)
+        car.ending = ending(car.ego_state, car.arrived, terminated, truncated)
         if car.episode.is_closed:
             truncated, car.ending = True, car.ending or "window closed"
         car.is_over = car.is_over or terminated or truncated
         info = returned(self, "_info", self._info(observation, action), dict)
         return observation, reward, terminated, truncated, info
+
+    def _look(self, action: PlainAction | None, speed_index: int) -> None:
+        """Make the ego's state of what it sees; the arguments as of `CarEpisode.look`."""
+        self._car.look(self._ego_place(), action, speed_index, len(self.target_speeds))
+        self._car.arrived = bool(self.task.arrived(self.ego_state))
+        self._terms: dict[str, float] | None = None  # of the reward, once `_reward` has asked for them
 
     def draw_arrival(self) -> None:
         """Draw who comes before the next step, where the scenario has not drawn it already."""
@@ -366,8 +386,8 @@ class DrivingEnv(ReadAsHighwayEnv):
 
     def _reward(self, action: Any) -> float:
         """The reward of a step."""
-        terms = returned(self, "_rewards", self._rewards(action), dict)
-        return returned(self.task, "reward", self.task.reward(terms, self.config), float)
+        self._terms = returned(self, "_rewards", self._rewards(action), dict)
+        return returned(self.task, "reward", self.task.reward(dict(self._terms), self.config), float)
 
     def _rewards(self, action: Any) -> dict[str, float]:
         """The raw terms of the reward, by name; the action is None at a reset."""
@@ -383,13 +403,15 @@ class DrivingEnv(ReadAsHighwayEnv):
 
     def _info(self, obs: Observation, action: Any = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
-        car, state, place = self._car, self.ego_state, self.scene.place
+        car, state, place, terms = self._car, self.ego_state, self.scene.place, self._terms
+        if terms is None:  # nobody has asked for those of this step
+            terms = returned(self, "_rewards", self._rewards(action), dict)
         info = information(
             self.scene,
             car.met,
-            arrived=self.task.arrived(state),
+            arrived=car.arrived,
             on_road=state.on_road,
-            rewards=returned(self, "_rewards", self._rewards(action), dict),
+            rewards=terms,
             action=self._action_type.no_action if action is None else action,
             ending=car.ending,
         )

@@ -66,6 +66,7 @@ class CarEpisode:
     rng: np.random.Generator  # shuffles the rows of observations; there, like `ego_state`, once the car is
     ego_state: EgoState
     before_ego = 0  # see `Situation`
+    arrived = False  # whether it has reached a goal (`Task.arrived`)
     ending = ""  # see `info.ending`
     is_over = False
     is_handed_over = False  # to SUMO

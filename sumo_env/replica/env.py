@@ -17,7 +17,6 @@ from sumo_env.config import (
     Config,
     ConfigError,
     ignore,
-    keys_of,
     one_of,
     refuse_arguments,
 )
@@ -30,6 +29,7 @@ from sumo_env.replica.linear import LAWS
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.observation import form_of
 from sumo_env.replica.simulator import Replica
+from sumo_env.spaces.factory import Interface
 from sumo_env.spaces.observation import OFFSETS, Kinematics
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import Task
@@ -136,11 +136,11 @@ class ReplicaEnv(DrivingEnv):
                 defaults["observation"] = dict(OBSERVATIONS[task.name])
         return {**defaults, **copy.deepcopy(self._versioned)}
 
-    def configure(self, config: Mapping[str, Any] | None) -> None:
-        """Change these keys of the configuration; they take effect at the next reset."""
-        if self.is_stock:
-            config = self._without_ours(keys_of(config))
-        super().configure(config)
+    def _checked(self, config: Config) -> tuple[Config, bool, Interface]:
+        return super()._checked(self._without_ours(config) if self.is_stock else config)
+
+    def _take(self, config: Config, is_raised: bool, offered: Interface) -> None:
+        super()._take(config, is_raised, offered)
         if self.is_stock or self._versioned:
             self.replica.connected = bool(self.config.get("neighbour_vehicles_connected_lanes", False))
         kinematics = self._observation_type

@@ -214,7 +214,7 @@ class ReplicaVectorEnv(VectorEnv):
             single.reset(seed=seed, options=options)
         spaces = single.observation_space, single.action_space
         if spaces != (self.single_observation_space, self.single_action_space) or not is_compiled(single):
-            single.configure(config)
+            single._take(*single._checked(config))
             raise ValueError("this configuration needs another batch: make a new vector environment for it")
         return single.replica.start
 

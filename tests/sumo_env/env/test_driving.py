@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import copy
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import libsumo
@@ -17,10 +18,12 @@ import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from sumo_env.config import ConfigError, ignore
+from sumo_env.config import Config, ConfigError, ignore
 from sumo_env.env import DrivingEnv
 from sumo_env.spaces.info import ending
 from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import EgoState
+from sumo_env.tasks.highway import Highway
 from tests.sumo_env.rollout import drive, leaves
 from tests.tasks import highway_env_task
 
@@ -143,6 +146,48 @@ def test_a_frequency_that_nobody_asked_for_goes_back(highway: gym.Env[Any, Any])
     env.configure({"simulation_frequency": 15})
     env.configure({"policy_frequency": 2})
     assert [*seen, env.config["simulation_frequency"]] == [15, 10, 15, 10, 15]
+
+
+@pytest.mark.parametrize("id", ["sumo/highway-v0", "replica/highway-v0"])
+def test_a_running_episode_keeps_its_configuration(id: str) -> None:
+    """Also where several changes are asked for, of which a wrong one changes nothing."""
+    with closing(gym.make(id, config={"duration": 4, "vehicles_count": 5})) as env:
+        inner: Any = env.unwrapped
+        shapes = [env.reset(seed=0)[0].shape]
+        inner.configure({"duration": 2, "collision_reward": 9})
+        inner.configure({"observation": {"type": "Kinematics", "vehicles_count": 3}})
+        with pytest.raises(ConfigError):
+            inner.configure({"duration": -1, "action": {"type": "ContinuousAction"}})
+        driven = [len(list(drive(env)))]
+        assert inner.config["duration"] == 4 and inner.observation_space.shape == shapes[0]
+        shapes.append(env.reset(seed=0, options={"config": {"collision_reward": -1}})[0].shape)
+        driven.append(len(list(drive(env))))
+        assert inner.config["collision_reward"] == -1 and inner.action_space == gym.spaces.Discrete(5)
+    assert driven == [4, 2] and shapes == [(5, 5), (3, 5)]
+
+
+class Counting(Highway):
+    """Counts how often it is asked."""
+
+    asked: ClassVar[Counter[str]] = Counter()
+
+    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        self.asked["rewards"] += 1
+        return super().rewards(ego, config)
+
+    def arrived(self, ego: EgoState) -> bool:
+        self.asked["arrived"] += 1
+        return super().arrived(ego)
+
+    def terminated(self, ego: EgoState, config: Config) -> bool:
+        return ego.crashed
+
+
+def test_a_task_is_asked_once_a_step() -> None:
+    with closing(DrivingEnv(Counting(), {"vehicles_count": 3})) as env:
+        env.reset(seed=0)
+        list(drive(env, [1, 1, 1]))
+    assert Counting.asked == {"rewards": 4, "arrived": 4}
 
 
 def test_the_configuration_may_be_written_to(highway: gym.Env[Any, Any]) -> None:

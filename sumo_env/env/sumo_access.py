@@ -11,10 +11,11 @@ from pathlib import Path
 
 import gymnasium as gym
 
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, warn_once
 from sumo_env.env.episode import Episode
 from sumo_env.simulator import Simulator, SimulatorError
 from sumo_env.sumo import export
+from sumo_env.sumo.outputs import written
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.settings import file_settings
 from sumo_env.sumo.user_files import is_output, temporary_folder
@@ -39,15 +40,21 @@ class SumoAccess:
         self.given = self.simulator = simulator  # the simulator is None where SUMO is not open
         self._live = check_live(live)
         self._options = check_options(options, task.of_files)
-        if not task.of_files and output_dir is not None:
-            raise ConfigError("output_dir is for networks of your own: take sumo_options")
+        outputs = written(self._options)
         if output_dir is not None:
+            if not (task.of_files or outputs):
+                raise ConfigError(
+                    "output_dir would stay empty: name files that SUMO writes, such as sumo_options="
+                    "['--tripinfo-output', 'trips.xml']"
+                )
             check_outputs(task.outputs)
             folder = str(Path(output_dir).resolve())
             self._options = {**dict(task.outputs), **self._options, OUTPUT_DIR: folder}
         elif task.outputs:
             names = ", ".join(name for name, _ in task.outputs)
             gym.logger.warn("%s", f"{task.net}: outputs are off ({names}); output_dir=... writes them")
+        self._overwritten = ", ".join(f"--{name}" for name in outputs) if output_dir is None else ""
+        self._opened = 0
 
     @property
     def is_sumo(self) -> bool:
@@ -61,6 +68,11 @@ class SumoAccess:
 
     def open(self) -> Simulator:
         """The simulator for the next episode."""
+        self._opened += 1
+        if self._opened > 1 and self._overwritten:
+            warn_once(
+                f"the file of {self._overwritten} has the last episode alone; output_dir=... keeps a file of each one"
+            )
         if self.simulator is None:
             self.simulator = SumoProcess(options=self._options, here=True, live=self._live)
         return self.simulator

@@ -7,7 +7,6 @@ the ego has departed. What risk does, it does to vehicles as they come; at dose 
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -21,7 +20,6 @@ from sumo_env.sumo.events import deviate
 from sumo_env.sumo.learning_car import Car
 from sumo_env.sumo.settings import file_settings
 from sumo_env.sumo.user_files import own_folder
-from sumo_env.sumo.user_options import OUTPUT_DIR
 from sumo_env.sumo.vehicle import OF_SUMO, Vehicle
 from sumo_env.sumo.world import GONE, SumoSimulator
 from sumo_env.traffic.drivers import deviation
@@ -39,7 +37,6 @@ class FileSimulator(SumoSimulator):
     """SUMO as a `Simulator` of scenarios with `SumoTraffic`."""
 
     _unwanted: Path | None = None  # folder of outputs that nobody wants
-    _folder, _episodes = "", 0  # of outputs that somebody wants, and how many episodes are in it
 
     def _begin(self, scenario: Scenario) -> Scene:
         traffic = scenario.traffic
@@ -67,14 +64,8 @@ class FileSimulator(SumoSimulator):
 
     def _episode_folder(self) -> Path:
         """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted by `close`."""
-        if parent := self._options.get(OUTPUT_DIR):
-            if not self._folder:
-                Path(parent).mkdir(parents=True, exist_ok=True)
-                self._folder = tempfile.mkdtemp(prefix="environment-", dir=parent)
-            self._episodes += 1
-            folder = Path(self._folder) / f"episode-{self._episodes}"
-            folder.mkdir()
-            return folder
+        if self._folders is not None:
+            return self._folders.new()
         self._unwanted = own_folder() / "outputs"
         self._unwanted.mkdir(exist_ok=True)
         return self._unwanted

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from sumo_env.sumo.user_files import is_output
+from sumo_env.sumo.outputs import prefix, written
 from sumo_env.sumo.user_options import OUTPUT_DIR
 from sumo_env.traffic.scenario import Scenario
 
@@ -16,8 +16,6 @@ COLLISIONS = {"collision.action": "warn", "collision.check-junctions": "true", "
 SILENT = {"no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true"}
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
 LANE_CHANGE_DURATION = 0.8
-TO_THE_ROOT = "../" * 64  # from any folder
-NO_FILES = ("stdout", "stderr", "/dev/null", "NUL", "nul")  # that SUMO can write to
 
 # Of scenarios of SUMO's files, where neither the files nor the user say otherwise.
 # No schemas: SUMO would fetch them where a file says, and expand what a document type declares.
@@ -96,15 +94,13 @@ def file_settings(scenario: Scenario, further: Mapping[str, str], outputs: Path 
         options["additional-files"] = ",".join(filter(None, added))
     all_are_wanted = given.pop(OUTPUT_DIR, None)
     if outputs is not None and not all_are_wanted:  # but those that the user names
-        for name, value in given.items():
-            if is_output(name) and value not in NO_FILES:
-                link = outputs / f"{name}-{Path(value).name}"
-                link.unlink(missing_ok=True)
-                link.symlink_to(Path(value).absolute())
-                given[name] = link.name
-    # SUMO puts the prefix between the folder and the name of every file that it writes
+        for name in written(given):
+            link = outputs / f"{name}-{Path(given[name]).name}"
+            link.unlink(missing_ok=True)
+            link.symlink_to(Path(given[name]).absolute())
+            given[name] = link.name
     if outputs is not None:
-        given["output-prefix"] = f"{TO_THE_ROOT}{str(outputs).lstrip('/')}/"
+        given |= prefix(outputs)
     seed = scenario.seed if scenario.traffic.seed is None else scenario.traffic.seed
     # SUMO can be asked how far a vehicle drove that has left the road in the last step
     options |= {**given, **COLLISIONS, "seed": str(seed), "keep-after-arrival": options["step-length"]}

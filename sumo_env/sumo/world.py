@@ -25,9 +25,10 @@ from sumo_env.sumo.engine import LIBSUMO, window
 from sumo_env.sumo.events import Events
 from sumo_env.sumo.learning_car import Car
 from sumo_env.sumo.libsumo_calls import plain
+from sumo_env.sumo.outputs import EpisodeFolders, prefix, written
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.settings import Settings, leaves_traces, placed_settings
-from sumo_env.sumo.user_options import LIVE
+from sumo_env.sumo.user_options import LIVE, OUTPUT_DIR
 from sumo_env.sumo.vehicle import OF_SUMO, Vehicle, modes
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
@@ -47,6 +48,7 @@ class SumoSimulator:
     def __init__(self, options: Mapping[str, str] = {}) -> None:
         self._session = Session(window() if LIVE in options else LIBSUMO)
         self._options = {name: value for name, value in options.items() if name != LIVE}
+        self._folders = EpisodeFolders(options[OUTPUT_DIR]) if OUTPUT_DIR in options else None
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._kept: dict[str, Driver] = {}  # those of them that stay loaded
         self._pools: tuple[DriverPool, ...] = ()  # of the episode before
@@ -134,8 +136,11 @@ class SumoSimulator:
     def _begin(self, scenario: Scenario) -> Scene:
         self._prepare(scenario)
         settings = self._settings(scenario)
-        if leaves_traces(scenario):
-            self._session.load(replace(settings, options={**settings.options, "seed": str(scenario.seed)}))
+        if leaves_traces(scenario) or written(self._options):
+            options = {**settings.options, "seed": str(scenario.seed)}
+            if self._folders is not None:
+                options |= prefix(self._folders.new())
+            self._session.load(replace(settings, options=options))
         elif not self._session.clear(settings):
             self._session.load(settings)
         self._steps_done = 0
@@ -177,7 +182,7 @@ class SumoSimulator:
             self._network.routes.items(),
             self._dt,
             [(name, vehicle_type(driver, scenario.calibration)) for name, driver in self._drivers.items()],
-            self._options,
+            {name: value for name, value in self._options.items() if name != OUTPUT_DIR},
         )
         return self._loaded
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import random
-from contextlib import closing
+from contextlib import ExitStack, closing, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.config import ConfigError
+from sumo_env.config import ConfigError, warn_once
 from sumo_env.env import DrivingEnv
 from sumo_env.networks.mapping import network
 from sumo_env.networks.roads import Road
@@ -199,6 +200,36 @@ def test_sumo_writes_its_files(tmp_path: Path) -> None:
         env.close()
         known = {trip.get("id") for trip in ElementTree.parse(file).findall("tripinfo")}
         assert known == {"ego", *(f"v{k}" for k in range(5))}
+
+
+@pytest.mark.parametrize("in_a_worker", [False, True])
+def test_the_files_of_several_episodes(tmp_path: Path, in_a_worker: bool) -> None:
+    """With `output_dir` each has its own, else the last one has it; a change of the dose makes no difference."""
+    option = ["--tripinfo-output", "trips.xml", "--tripinfo-output.write-unfinished"]
+    own = ["--tripinfo-output", str(tmp_path / "trips.xml"), *option[2:]]
+    ways: list[dict[str, Any]] = [
+        {"sumo_options": own},
+        {"sumo_options": option, "output_dir": tmp_path / "out"},
+    ]
+    with ExitStack() as stack:
+        if in_a_worker:
+            stack.enter_context(closing(DrivingEnv("highway"))).reset(seed=0)
+        for way in ways:
+            env = stack.enter_context(closing(DrivingEnv("highway", {"vehicles_count": 3}, **way)))
+            warned = (
+                pytest.warns(UserWarning, match="last episode alone") if way is ways[0] else nullcontext()
+            )
+            warn_once.cache_clear()
+            with warned:
+                for episode, risk in enumerate((0.0, 0.0, 0.5)):
+                    env.reset(seed=episode, options={"config": {"risk": risk, "vehicles_count": 3 + episode}})
+                    env.step(1)
+            with pytest.raises(TypeError, match="copied"):
+                copy.deepcopy(env)
+            env.close()
+    files = [tmp_path / "trips.xml", *sorted(tmp_path.glob("out/environment-*/episode-*/trips.xml"))]
+    counts = [len(ElementTree.parse(file).findall("tripinfo")) for file in files]
+    assert counts == [6, 4, 5, 6]  # the ego too
 
 
 class Random(Highway):

@@ -9,12 +9,17 @@ from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
-from sumo_env.config import did_you_mean, nearest
+from sumo_env.config import did_you_mean, nearest, warn_once
 
 PAGE = "https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_Routes.html"
 TYPES = "data/xsd/types"  # of the package sumo-data, which libsumo installs
 _XSD = "{http://www.w3.org/2001/XMLSchema}"
 _MODEL = "carFollowing-"  # how elements with the parameters of a model begin
+# Attributes that more models have than the schema says.
+_OF_MANY = {
+    *("accel", "decel", "tau", "emergencyDecel", "apparentDecel", "collisionMinGapFactor"),
+    *("maxAccelProfile", "desAccelProfile"),
+}
 # Types of numbers, with the least one; of "positive..." it is not among them.
 _NUMBERS = {
     "floatType": -math.inf,
@@ -41,30 +46,33 @@ def schema(name: str) -> dict[str, dict[str, str]]:
 def _known() -> dict[str, set[str]]:
     """Attributes of a vType, those of every car-following model included, with their types; empty without a schema."""
     found: dict[str, set[str]] = {}
-    for kind, names in schema("route").items():
-        if kind == "vTypeBaseType" or kind.startswith("cf"):
-            for name, type in names.items():
-                found.setdefault(name, set()).add(type)
+    for names in (schema("route").get("vTypeBaseType", {}), *_models().values()):
+        for name, type in names.items():
+            found.setdefault(name, set()).add(type)
     return found
 
 
-def _models() -> set[str]:
-    """Car-following models; empty without a schema, in which two of them are missing."""
-    parts = {name for names in schema("route").values() for name in names}
-    found = {name.removeprefix(_MODEL) for name in parts if name.startswith(_MODEL)}
-    return found | {"Rail", "KraussX"} if found else found
+def _models() -> dict[str, dict[str, str]]:
+    """Car-following models, with their own attributes and types; empty without a schema, in which two are missing."""
+    kinds = schema("route")
+    found = {
+        name.removeprefix(_MODEL): kinds[kind]
+        for name, kind in kinds.get("vTypeBaseType", {}).items()
+        if name.startswith(_MODEL)
+    }
+    return found | {"Rail": {}, "KraussX": {}} if found else found
 
 
 def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
     """That SUMO knows these attributes of the vehicle type `name`, its model and its class, and that numbers are such.
 
-    Other wrong values it refuses itself when an episode begins.
+    Other wrong values it refuses itself when an episode begins. Warns of attributes of other models than its own.
 
     Raises:
         ValueError: it does not; the message names the nearest one, or what a value may be.
     """
     known, models = _known(), _models()
-    model = str(attributes.get("carFollowModel", "Krauss"))
+    model = str(attributes.get("carFollowModel", "IDM"))
     if models and model not in models:
         raise ValueError(f"SUMO has no carFollowModel {model!r}, as {name!r} has: {nearest(model, models)}")
     for attribute in attributes if known else ():
@@ -72,6 +80,9 @@ def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
             instead = did_you_mean(attribute, known) or f"see {PAGE}"
             raise ValueError(f"SUMO's types have no attribute {attribute!r}, as {name!r} has: {instead}")
         _check_number(attribute, attributes[attribute], known[attribute], name)
+    own, of_models = models.get(model, {}), {key for of_model in models.values() for key in of_model}
+    if own and (foreign := sorted((of_models & attributes.keys()) - own.keys() - _OF_MANY)):
+        warn_once(f"the carFollowModel {model!r} of {name!r} has no {', '.join(foreign)}: without effect")
     if "vClass" in attributes:
         from sumolib.net.lane import SUMO_VEHICLE_CLASSES  # late: it takes a tenth of a second
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import copy
 import math
 import pickle
+import warnings
 from dataclasses import FrozenInstanceError, asdict, replace
 
 import numpy as np
 import pytest
 
-from sumo_env.config import resolve
+from experiments.study.design.traffic import ALL
+from sumo_env.config import resolve, warn_once
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.drivers import (
     MIN_GAIN,
@@ -184,3 +186,25 @@ def test_the_counterparts_in_highway_env_are_mobil_s_two_thresholds() -> None:
     assert (regular.safe_braking, regular.min_gain) == (SAFE_BRAKING, MIN_GAIN)
     eager = replace(regular, assertive=2.0, speed_gain=2.0)
     assert (eager.safe_braking, eager.min_gain) == (2 * SAFE_BRAKING, MIN_GAIN / 2)
+
+
+@pytest.mark.parametrize(
+    ("given", "foreign"),
+    [
+        ({"carFollowModel": "EIDM", "cc1": 1.2, "tpreview": 4}, "'EIDM' of 'odd' has no cc1:"),
+        (
+            {"carFollowModel": "Krauss", "sigma": 0.1, "delta": 4, "cc2": 1},
+            "'Krauss' of 'odd' has no cc2, delta:",
+        ),
+        ({"sigma": 0.5}, "'IDM' of 'odd' has no sigma:"),
+        ({"carFollowModel": "W99", "cc1": 1.2, "accel": 2.0, "lcStrategic": 0.5}, ""),
+        ({"carFollowModel": "Rail", "cc1": 1.2, "vClass": "rail"}, ""),
+        *((dict(traffic.drivers), "") for traffic in ALL.values() if isinstance(traffic.drivers, dict)),
+    ],
+)
+def test_attributes_of_another_model_are_told(given: dict[str, object], foreign: str) -> None:
+    warn_once.cache_clear()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        drivers("highway", 0.0)[0].like("odd", given)
+    assert [foreign in str(one.message) for one in caught] == ([True] if foreign else [])

@@ -40,6 +40,10 @@ PATIENCE = 10.0  # [s] that a vehicle waits for room to come back, before SUMO's
 REACTION = (
     1.0  # [s] earlier than it can stop with its type's `decel`, a vehicle stops to surge towards a red light
 )
+YELLOW = 3.0  # [s] that a light is yellow before it is red, as netconvert makes them
+# [s] While a speed is commanded, and after it, SUMO's EIDM may wish to stop at once, from any speed.
+SETTLING = 1.0
+UNLIMITED = 1000.0  # [m/s] a command that leaves the choice to SUMO, within the limits of its speed mode
 EARLY = 1e-9  # [s] rounding of sums of steps
 SQUARE = 50.0  # [m] side of the squares by which vehicles that are near are found
 
@@ -91,31 +95,47 @@ class Moment(NamedTuple):
 def stops_ahead(at: Moment) -> bool:
     """Whether its vehicle has to brake now for the next traffic light, or where its lane does not lead on.
 
-    There SUMO would stop it at once.
+    There SUMO would stop it at once. A green light counts where it could neither stop nor pass any more if the light
+    turned yellow now.
     """
     name, of = at.vehicle.name, at.sumo
     speed = of.getSpeed(name) + at.event.accel * at.dt
     way = speed * (speed / (2.0 * of.getDecel(name)) + REACTION)
     lane, place = of.getLaneID(name), of.getLanePosition(name)
     ends = (end - place for own, end, _, _, leads, _ in of.getBestLanes(name) if own == lane and not leads)
-    lights = (distance for _, _, distance, letter in of.getNextTLS(name) if letter in "rRuyY")
+    lights = (
+        distance
+        for _, _, distance, letter in of.getNextTLS(name)
+        if letter in "rRuyY" or distance > speed * YELLOW
+    )
     return any(distance < way for distance in (*ends, *lights))
 
 
+@dataclass(frozen=True)
 class Push(EventKind):
-    """Sudden braking, or a surge, which switches SUMO's car following off."""
+    """Sudden braking, or a surge, which switches SUMO's car following off.
+
+    heeds_sumo: whether who brakes does so at least as hard as SUMO would have.
+    """
+
+    heeds_sumo: bool = True
 
     def pauses(self, at: Moment) -> bool:
-        """A surge pauses where somebody is near straight ahead, or it has to stop; a brake never does."""
+        """A surge pauses where somebody is near straight ahead, it has to stop, or SUMO changes its lane.
+
+        For its own changes SUMO drives so that they are over before the edge is. A brake never pauses.
+        """
         if at.event.kind == "brake":
             return False
+        if at.vehicle.changes_by_itself():
+            return True
         states, name = at.near(at.event.way + HALF_CORRIDOR), at.vehicle.name
         return not free_way(states[name], states.values(), at.event.way) or stops_ahead(at)
 
     def command(self, at: Moment) -> None:
         """Change the speed; who brakes does so as hard as the event, or as SUMO would have in the last step."""
         name, accel, speed = at.vehicle.name, at.event.accel, at.sumo.getSpeed(at.vehicle.name)
-        if at.event.kind == "brake":
+        if at.event.kind == "brake" and self.heeds_sumo:
             own = at.sumo.getAcceleration(name) + (at.sumo.getSpeedWithoutTraCI(name) - speed) / at.dt
             accel = min(accel, own)
         at.vehicle.hold_speed(RIGHT_OF_WAY if at.event.kind == "brake" else ALL_CHECKS_OFF)
@@ -126,7 +146,7 @@ class Push(EventKind):
         at.vehicle.free_speed()
 
 
-PUSH = Push()
+PUSH, HEEDLESS = Push(), Push(heeds_sumo=False)
 
 
 @dataclass
@@ -161,6 +181,9 @@ class Events:
             self._tilted.plan((name for name, _ in scenario.lifetimes), scenario.events)
         self._session, self._network, self._road = session, network, road
         self._asks_for_markings = scenario.traffic is not None
+        models = scenario.traffic.models if scenario.traffic is not None else ()
+        self._eidm = {type for type, model in models if model == "EIDM"}
+        self._returning: dict[str, float] = {}  # vehicles whose speed SUMO's EIDM gets back, and when [s]
         self._waiting: dict[str, RiskEvent] = {}  # cut-ins that are due but cannot begin yet
         self._changes: dict[str, Change] = {}  # of vehicles whose lanes are commanded
         self._running: dict[str, Running] = {}  # what commands a vehicle, but for cut-ins
@@ -171,9 +194,13 @@ class Events:
     def act(self, time: float, dt: float) -> None:
         """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
         is_due = self._coming and self._coming[-1].time <= time + EARLY
-        if not (is_due or self._waiting or self._changes or self._running):
+        if not (is_due or self._waiting or self._changes or self._running or self._returning):
             return
         self._states = {}
+        for name in [name for name, end in self._returning.items() if time >= end - EARLY]:
+            del self._returning[name]
+            if self._may_act(name) and not self._road[name].has_speed:
+                self._road[name].drive(-1.0)
         while self._coming and self._coming[-1].time <= time + EARLY:
             event = self._coming.pop()
             if self._may_act(event.vehicle) and self._comes(event):
@@ -365,11 +392,13 @@ class Events:
 
     def _start(self, event: RiskEvent, time: float, dt: float) -> None:
         """An event begins; one of another kind on this vehicle ends."""
-        kind = event.kind if isinstance(event.kind, EventKind) else PUSH
+        kind = event.kind
+        if not isinstance(kind, EventKind):
+            kind = HEEDLESS if self._is_eidm(event.vehicle) else PUSH
         before = self._running.get(event.vehicle)
         acts = before is not None and before.acts
         if before is not None and acts and before.kind != kind:
-            before.kind.give_back(self._at(before, time, dt))
+            self._give_back(before, self._at(before, time, dt))
             acts = False
         self._running[event.vehicle] = Running(event, kind, time, acts)
 
@@ -383,4 +412,15 @@ class Events:
         if running.acts:
             running.kind.command(at)
         elif acted:
-            running.kind.give_back(at)
+            self._give_back(running, at)
+
+    def _give_back(self, running: Running, at: Moment) -> None:
+        """Give SUMO what an event has taken; its EIDM gets the speed within limits at first, see `SETTLING`."""
+        vehicle, had_speed = at.vehicle, at.vehicle.has_speed
+        running.kind.give_back(at)
+        if had_speed and not vehicle.has_speed and self._is_eidm(vehicle.name):
+            vehicle.drive(UNLIMITED)
+            self._returning[vehicle.name] = running.began + at.elapsed + SETTLING
+
+    def _is_eidm(self, name: str) -> bool:
+        return bool(self._eidm) and self._session.type_of(name) in self._eidm

@@ -136,6 +136,10 @@ class Vehicle:
         self._is_changing = self._is_changing and self._session.changes_lane(self.name)
         return self.has_lanes and not self._is_changing
 
+    def changes_by_itself(self) -> bool:
+        """Whether a lane change runs that SUMO has begun."""
+        return not self.has_lanes and self._session.changes_lane(self.name)
+
     def is_late(self, fastest: float) -> bool:
         """Whether its lane ends before a lane change that begins now would, at up to `fastest` [m/s].
 

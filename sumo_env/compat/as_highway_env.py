@@ -7,16 +7,17 @@ from collections.abc import Callable, Mapping
 from functools import update_wrapper
 from operator import attrgetter
 from types import MethodType
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.compat.views import RoadView, Vehicle, View, only_read, road_view
-from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, keys_of, resolve
+from sumo_env.config import COMMON, STOCK_FREQUENCY, Config, ConfigError, keys_of, resolve, tell_of_steps
 from sumo_env.scene import PERCEPTION_DISTANCE, Scene
 from sumo_env.spaces.actions import SIDES, ActionType, Situation, lane_after
+from sumo_env.spaces.factory import Interface, interface
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.unsupported import NEVER_CALLED, missing, page
@@ -77,7 +78,11 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     _observation_type: Any
     _own_observation: Any = None  # a subclass's
     _car: Any  # a `CarEpisode`, from the first reset on
+    _access: Any  # a `SumoAccess`
     _screen: Any
+    _asked: Config  # changes for the next episode
+    render_mode: str | None
+    steers: ClassVar[bool]
     scene: Scene = _of_car("scene")  # the present one, as the ego sees it
     ego_state: EgoState = _of_car("ego_state")
     steps: int = _of_car("steps")  # policy steps of this episode
@@ -131,6 +136,42 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         defaults = self._defaults()
         changed = resolve(self.task.name, defaults, asked, config)
         return changed, changed[frequency] != {**defaults, **asked, **(config or {})}[frequency]
+
+    def configure(self, config: Mapping[str, Any] | None) -> None:
+        """Change these keys of the configuration; they take effect at the next reset, before the first one at once."""
+        asked = {**self._asked, **keys_of(config)}
+        checked = self._checked(asked)
+        if "_car" in vars(self):
+            self._asked = asked
+        else:
+            self._take(*checked)
+
+    def _checked(self, config: Config) -> tuple[Config, bool, Interface]:
+        """The configuration with these changes, see `_resolved`, and its spaces. Raises ConfigError for wrong ones."""
+        changed, is_raised = self._resolved(config)
+        if changed.get("manual_control") and self.render_mode != "human":
+            raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
+        offered = interface(self.task, changed, self.steers)
+        if offered.action_type.names:
+            self._access.refuse_backwards("'target_speeds'", offered.action_type.target_speeds[0])
+        self._access.refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
+        if self._access.is_sumo:
+            tell_of_steps(self.task.frequency(changed))
+        return changed, is_raised, offered
+
+    def _take(self, config: Config, is_raised: bool, offered: Interface) -> None:
+        """The next episode has this configuration."""
+        self.config, self._is_raised, self._offered, self._asked = config, is_raised, offered, {}
+        self._configured = copy.deepcopy(config)
+        self.define_spaces()
+        self._set_frame_rate()
+
+    def define_spaces(self) -> None:
+        """Set the types and spaces of observation and action, whenever the configuration changes."""
+        self._action_type, self._observation_type = self._offered
+        self.actions, self.target_speeds = self._action_type.names, self._action_type.target_speeds
+        self._own_observation = None
+        self.observation_space, self.action_space = self._observation_type.space, self._action_type.space
 
     def _observe(self) -> NDArray[np.float32]:
         if self._own_observation is not None:

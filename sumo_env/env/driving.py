@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.compat.as_highway_env import ReadAsHighwayEnv, returned
-from sumo_env.config import Config, ConfigError, keys_of, refuse_arguments, tell_of_steps
+from sumo_env.config import Config, ConfigError, keys_of, refuse_arguments
 from sumo_env.env.episode import CarEpisode, EgoPlace, Episode
 from sumo_env.env.screen import Screen
 from sumo_env.env.sumo_access import SumoAccess
 from sumo_env.scene import Scene
 from sumo_env.simulator import Command, Commands, EgoCommand, Simulator, Step
 from sumo_env.spaces.actions import PlainAction
-from sumo_env.spaces.factory import Interface, interface
 from sumo_env.spaces.info import ending, information, on_its_way, paid_late
 from sumo_env.streams import stream
 from sumo_env.sumo.libsumo_calls import Sumo
@@ -83,44 +82,6 @@ class DrivingEnv(ReadAsHighwayEnv):
         self.render_mode = render_mode
         self._asked = Config()  # changes for the next episode
         self.configure(config)
-
-    # -- configuration -------------------------------------------------------------------------------------
-
-    def configure(self, config: Mapping[str, Any] | None) -> None:
-        """Change these keys of the configuration; they take effect at the next reset, before the first one at once."""
-        asked = {**self._asked, **keys_of(config)}
-        checked = self._checked(asked)
-        if "_car" in vars(self):
-            self._asked = asked
-        else:
-            self._take(*checked)
-
-    def _checked(self, config: Config) -> tuple[Config, bool, Interface]:
-        """The configuration with these changes, see `_resolved`, and its spaces. Raises ConfigError for wrong ones."""
-        changed, is_raised = self._resolved(config)
-        if changed.get("manual_control") and self.render_mode != "human":
-            raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
-        offered = interface(self.task, changed, self.steers)
-        if offered.action_type.names:
-            self._access.refuse_backwards("'target_speeds'", offered.action_type.target_speeds[0])
-        self._access.refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
-        if self._access.is_sumo:
-            tell_of_steps(self.task.frequency(changed))
-        return changed, is_raised, offered
-
-    def _take(self, config: Config, is_raised: bool, offered: Interface) -> None:
-        """The next episode has this configuration."""
-        self.config, self._is_raised, self._offered, self._asked = config, is_raised, offered, {}
-        self._configured = copy.deepcopy(config)
-        self.define_spaces()
-        self._set_frame_rate()
-
-    def define_spaces(self) -> None:
-        """Set the types and spaces of observation and action, whenever the configuration changes."""
-        self._action_type, self._observation_type = self._offered
-        self.actions, self.target_speeds = self._action_type.names, self._action_type.target_speeds
-        self._own_observation = None
-        self.observation_space, self.action_space = self._observation_type.space, self._action_type.space
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 

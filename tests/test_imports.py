@@ -65,6 +65,9 @@ def test_imports_point_one_way() -> None:
 
 
 # The parts of two packages, the lowest first: a part uses those below it alone. What is not listed is above them all.
+# Of what any SUMO scenario needs these cannot stand with `scenarios`: `traffic.scenario.SumoTraffic` and `Origin`, of
+# which a `Scenario` is made for every simulator; `traffic.sumo_schemas`, which `Driver.like` asks in every task;
+# `sumo.user_options` and `settings.file_settings`, of which `env.sumo_access` makes SUMO and `sumo_command`.
 FLOORS = {
     "sumo_env": """
         networks < scene streams unsupported < config < contacts < traffic < tasks simulator < rendering sumo < spaces

@@ -19,7 +19,7 @@ from xml.parsers import expat
 
 from sumo_env.config import ConfigError, did_you_mean
 from sumo_env.networks.meeting import edge_of
-from sumo_env.sumo.user_files import INPUTS, seconds
+from sumo_env.scenarios.configuration import INPUTS, seconds
 from sumo_env.sumo.user_options import is_connection
 from sumo_env.traffic.scenario import Arrival
 

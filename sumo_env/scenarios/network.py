@@ -12,22 +12,16 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError, names_of, warn_once
 from sumo_env.networks import files
 from sumo_env.networks.roads import Road
+from sumo_env.scenarios.configuration import configuration, is_configuration, paths, seconds
 from sumo_env.scenarios.file_checks import UNSORTED, check_files
 from sumo_env.scenarios.random_traffic import elements
 from sumo_env.scenarios.reward_terms import TERMS, measures_energy, terms
+from sumo_env.scenarios.risky import LACKING
 from sumo_env.scene import CLOSING, FOE, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST
 from sumo_env.streams import stream
+from sumo_env.sumo.paths import is_output, plain_path
 from sumo_env.sumo.settings import COLLISIONS
-from sumo_env.sumo.user_files import (
-    configuration,
-    is_configuration,
-    is_output,
-    paths,
-    plain_path,
-    seconds,
-)
 from sumo_env.tasks.base import EgoState, Task, ego_driver, make_on_lane, speed_term
-from sumo_env.traffic.drivers import LACKING
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic
 

@@ -13,24 +13,17 @@ from itertools import pairwise
 from math import inf
 from pathlib import Path
 
+from sumo_env.scenarios.risky import RISKY_CLASSES, deviate, deviation
 from sumo_env.scenarios.route_ego import RouteEgo
 from sumo_env.scene import NO_LIGHT, Light, Place, Scene
 from sumo_env.simulator import Commands, SimulatorError
-from sumo_env.sumo.events import deviate
 from sumo_env.sumo.learning_car import Car
+from sumo_env.sumo.paths import own_folder
 from sumo_env.sumo.settings import file_settings
-from sumo_env.sumo.user_files import own_folder
 from sumo_env.sumo.vehicle import OF_SUMO, Vehicle
 from sumo_env.sumo.world import GONE, SumoSimulator
-from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, draw_events, draw_own_events
 from sumo_env.traffic.scenario import Scenario
-
-# Classes whose drivers risk changes: those of roads, but bicycles.
-RISKY_CLASSES = {
-    *("passenger", "private", "taxi", "hov", "evehicle", "bus", "coach", "delivery", "truck", "trailer"),
-    *("motorcycle", "moped", "emergency", "authority", "army", "vip", "custom1", "custom2", "ignoring"),
-}
 
 
 class FileSimulator(SumoSimulator):

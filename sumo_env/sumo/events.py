@@ -9,7 +9,6 @@ from __future__ import annotations
 from bisect import insort
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -22,7 +21,7 @@ from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import Scene, is_obstacle
 from sumo_env.sumo.session import ALL_CHECKS_OFF, RIGHT_OF_WAY, Session
 from sumo_env.sumo.tilted import Tilted
-from sumo_env.sumo.vehicle import IN_SUMO, Vehicle
+from sumo_env.sumo.vehicle import Vehicle
 from sumo_env.traffic.risk import (
     HALF_CORRIDOR,
     LOOKED_AT,
@@ -46,22 +45,6 @@ SETTLING = 1.0
 UNLIMITED = 1000.0  # [m/s] a command that leaves the choice to SUMO, within the limits of its speed mode
 EARLY = 1e-9  # [s] rounding of sums of steps
 SQUARE = 50.0  # [m] side of the squares by which vehicles that are near are found
-
-
-def deviate(session: Session, vehicle: Vehicle, factors: Mapping[str, float]) -> None:
-    """Multiply the parameters of a vehicle's own type by the factors of a risky driver (`drivers.deviation`)."""
-    of, name = session.vehicle, vehicle.name
-    for parameter, keys in IN_SUMO.items():
-        factor = factors.get(parameter, 1.0)
-        for key in keys if factor != 1.0 else ():  # each setter copies the vehicle's type
-            getattr(of, f"set{key}")(name, factor * getattr(of, f"get{key}")(name))
-    for key, factor in (("lcAssertive", factors["assertive"]), ("lcSpeedGain", factors["speed_gain"])):
-        parameter = f"laneChangeModel.{key}"
-        with suppress(ValueError, *session.errors):  # there are models of lane changes without it
-            present = float(of.getParameter(name, parameter))
-            of.setParameter(name, parameter, f"{factor * present:.6g}")
-    if not factors["gives_way"]:
-        vehicle.ignore_rules()
 
 
 class Moment(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from sumo_env.sumo.user_files import is_output
+from sumo_env.sumo.paths import is_output
 
 TO_THE_ROOT = "../" * 64  # from any folder
 NO_FILES = ("stdout", "stderr", "/dev/null", "NUL", "nul")  # that SUMO can write to

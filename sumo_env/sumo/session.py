@@ -16,8 +16,8 @@ from sumo_env.contacts.rectangles import CAR, HALF_LENGTH, Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, LETTERS, NO_LIGHT, PERCEPTION_DISTANCE, TURN, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
+from sumo_env.sumo.paths import plain_path, temporary_folder
 from sumo_env.sumo.settings import Settings
-from sumo_env.sumo.user_files import plain_path, temporary_folder
 
 # Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
 ALL_CHECKS_OFF = 32  # drive at the commanded speed, whatever is ahead

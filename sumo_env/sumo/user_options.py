@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from sumo_env.config import ConfigError
-from sumo_env.sumo.user_files import is_output
+from sumo_env.sumo.paths import is_output
 
 # What the environment sets itself, or could not do its work with: everywhere, in tasks that place their vehicles
 # themselves, and where SUMO loads the traffic of its own files.

@@ -19,8 +19,8 @@ from pkgutil import resolve_name
 from typing import Any
 
 from sumo_env.simulator import SimulatorError
+from sumo_env.sumo.paths import delete_own_folder
 from sumo_env.sumo.pipe import FORKS, connect, receive, send
-from sumo_env.sumo.user_files import delete_own_folder
 
 
 def make(name: str, options: Mapping[str, str]) -> Any:

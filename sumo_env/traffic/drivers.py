@@ -247,30 +247,6 @@ class DriverPool(NamedTuple):
         )
 
 
-# Car-following models that do not have all the parameters that risk changes (SUMO's schema lists them).
-LACKING = {"W99": ("accel", "decel", "tau"), "Rail": ("accel", "decel", "tau", "min_gap")}
-
-
-def deviation(ranges: RiskRanges, dose: float, seed: int, vehicle: str, model: str) -> dict[str, float]:
-    """How a risky driver of SUMO's files differs from its own vehicle type: factors of the parameters that `model` has.
-
-    One fixed quantile a parameter, as of the drivers of a `DriverPool`; ``gives_way`` is 0 where the driver does not
-    obey right of way.
-    """
-    together = ONE_STREAM[1:-1]
-    drawn = dict(
-        zip(together, stream(seed, f"driver of {vehicle}").random(len(together)).tolist(), strict=True)
-    )
-    factors = {"gives_way": float(drawn["gives_way"] >= ranges.not_giving_way * dose)}
-    for name in SPREAD_PARAMETERS:
-        if name not in drawn:
-            drawn[name] = float(stream(seed, f"{name} of the driver of {vehicle}").random())
-        low, high = getattr(ranges, name)
-        if name not in LACKING.get(model, ()):
-            factors[name] = 1.0 + dose * (low + drawn[name] * (high - low) - 1.0)
-    return factors
-
-
 def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:
     """Attributes of the SUMO vType that is this driver (https://sumo.dlr.de/docs/Definition_of_Vehicles.html)."""
     # Probabilities are 0 or 1, drawn beforehand: SUMO would redraw fractional ones from its own generator.

@@ -57,7 +57,7 @@ def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
 
 def test_the_folder_of_a_killed_process_is_deleted_by_a_later_one(tmp_path: Path) -> None:
     """That of a process that is alive is not."""
-    mine = "from sumo_env.sumo.user_files import own_folder\nprint(own_folder(), flush=True)\n"
+    mine = "from sumo_env.sumo.paths import own_folder\nprint(own_folder(), flush=True)\n"
     waits = mine + "import time\ntime.sleep(60)\n"
     alive, killed = (started("-c", waits, TMPDIR=str(tmp_path)) for _ in range(2))
     with alive, killed:

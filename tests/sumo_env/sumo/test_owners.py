@@ -16,13 +16,13 @@ import pytest
 
 import sumo_env
 from sumo_env.scenarios import SumoDrivingEnv
+from sumo_env.scenarios.risky import deviation
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
 from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, NO_RULES, OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.vehicle import modes
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
-from sumo_env.traffic.drivers import deviation
 from sumo_env.traffic.risk import RiskEvent, RiskRates, pushes
 from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.plans import SUMO_DRIVES, needs_sumo

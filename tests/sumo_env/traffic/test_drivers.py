@@ -13,6 +13,7 @@ import pytest
 
 from experiments.study.design.traffic import ALL
 from sumo_env.config import resolve, warn_once
+from sumo_env.scenarios.risky import deviation
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.drivers import (
     MIN_GAIN,
@@ -23,7 +24,6 @@ from sumo_env.traffic.drivers import (
     CarFollowing,
     DriverPool,
     RiskRanges,
-    deviation,
     vehicle_type,
 )
 from sumo_env.traffic.scenario import fits

@@ -1,31 +1,22 @@
 """SUMO's own files (.sumocfg, routes, additional files), as the options with which SUMO loads them.
 
-SUMO reads, routes, inserts and removes what is in the files; `scenarios.file_checks` looks into them before. This
-module knows which files there are, and how SUMO understands their names.
+SUMO reads, routes, inserts and removes what is in the files; `file_checks` looks into them before. This module knows
+which files there are.
 """
 
 from __future__ import annotations
 
-import atexit
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Sequence
-from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
 from sumo_env.config import ConfigError
+from sumo_env.sumo.paths import is_output, plain_path
 from sumo_env.traffic.sumo_schemas import schema
-
-try:
-    import fcntl
-except ImportError:  # as on Windows
-    fcntl: Any = None  # type: ignore[no-redef]
 
 # Short and old names of options that are read or left out here (`sumo --print-options true` lists all).
 SYNONYMS = {
@@ -81,17 +72,6 @@ LEFT_OUT = {
     *("verbose", "duration-log.statistics", "print-options", "output-prefix", "help", "version"),
     *("configuration-file", "xml-validation", "xml-validation.net", "xml-validation.routes"),
 }
-LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
-LOGS |= {"pedestrian.jupedsim.wkt", "pedestrian.jupedsim.py"}
-
-
-PREFIX = "sumo_env-"  # of temporary folders
-_folders: dict[int, Path] = {}  # by the process that has them
-
-
-def is_output(option: str) -> bool:
-    """Whether an option of SUMO names a file that it writes."""
-    return (option.endswith("output") and option != "human-readable-output") or option in LOGS
 
 
 def is_configuration(file: Path) -> bool:
@@ -162,80 +142,6 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
             raise ConfigError(f"{name}: there is no file {path}")
     # a configuration is read here, and has files beside it
     return found if name == "network" else tuple(map(plain_path, found))
-
-
-def plain_path(path: Path) -> Path:
-    """A path to a file that SUMO understands: to it a comma ends a name, and ``${...}`` is a variable.
-
-    Raises:
-        ConfigError: there is none, because all folders for temporary files have such names.
-    """
-    return path if _is_plain(path) else _linked(path, os.getpid())
-
-
-@cache
-def _linked(path: Path, process: int) -> Path:
-    """A link to a file: of this process, because a copy of it may live longer."""
-    folder = own_folder() / "links"
-    folder.mkdir(exist_ok=True)
-    ending = re.search(r"(\.\w+)*$", path.name)
-    assert ending is not None
-    link = folder / f"{len(list(folder.iterdir()))}{ending[0]}"
-    if not _is_plain(path.name):
-        link.symlink_to(path)
-        return link
-    link.symlink_to(path.parent, target_is_directory=True)  # files beside this one can be found as well
-    return link / path.name
-
-
-def _is_plain(path: str | Path) -> bool:
-    name = str(path)
-    return name.isprintable() and "," not in name and "${" not in name  # in the locale C umlauts are no text
-
-
-def temporary_folder() -> str:
-    """A folder for temporary files with a name that SUMO understands.
-
-    Raises:
-        ConfigError: there is none.
-    """
-    folders = (tempfile.gettempdir(), "/tmp", "/var/tmp")
-    for folder in folders:
-        if _is_plain(folder) and os.access(folder, os.W_OK):
-            return folder
-    raise ConfigError(f"SUMO takes no folders with a comma or $: set TMPDIR (tried: {'; '.join(folders)})")
-
-
-def own_folder() -> Path:
-    """A folder for files of this process, which deletes it at its end; a copy of the process has its own.
-
-    That of a process that was killed is deleted by a later one, which finds its lock free.
-    """
-    if os.getpid() not in _folders:
-        parent = temporary_folder()
-        for lock in Path(parent).glob(f"{PREFIX}*/lock"):
-            with suppress(OSError), lock.open("rb") as left:
-                _hold(left.fileno())
-                shutil.rmtree(lock.parent, ignore_errors=True)
-        folder = _folders[os.getpid()] = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
-        with suppress(OSError):
-            _hold(os.open(folder / "new", os.O_CREAT | os.O_WRONLY))  # which stays open
-            (folder / "new").rename(folder / "lock")  # once it is not free
-        atexit.register(delete_own_folder)
-    return _folders[os.getpid()]
-
-
-def delete_own_folder() -> None:
-    """Delete the folder of this process, if it has one."""
-    if folder := _folders.pop(os.getpid(), None):
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _hold(lock: int) -> None:
-    """Hold the lock of an open file until this process and all its copies have ended; OSError where that cannot be."""
-    if fcntl is None:
-        raise OSError("this system has no such locks")
-    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def seconds(option: str, text: str) -> float:

@@ -215,11 +215,9 @@ class Vehicle(View):
         """How far ahead another vehicle is along the own heading [m]."""
         return float(self.direction.dot(other.position - self.position))
 
-    def to_dict(
-        self, origin_vehicle: Vehicle | None = None, observe_intentions: bool = True
-    ) -> dict[str, float]:
+    def to_dict(self, origin_vehicle: Vehicle | None = None) -> dict[str, float]:
         """The features of `Kinematics` [m, m/s, rad]; places and velocities relative to another vehicle, if given."""
-        goal = self.destination_direction if observe_intentions else np.zeros(2)
+        goal = self.destination_direction
         own = (self.velocity, [self.heading], self.direction, goal, self.lane_offset)
         values = np.concatenate((self.position, *own)).tolist()
         if origin_vehicle is not None:
@@ -332,7 +330,6 @@ class RoadView(View):
         distance: float,
         count: int | None = None,
         see_behind: bool = True,
-        sort: bool = True,
     ) -> list[Vehicle]:
         """The other vehicles within a distance [m], the nearest along the lane first."""
         close = [
@@ -342,8 +339,7 @@ class RoadView(View):
             and np.linalg.norm(other.position - vehicle.position) < distance
             and (see_behind or vehicle.lane_distance_to(other) > -2 * vehicle.LENGTH)
         ]
-        if sort:
-            close.sort(key=lambda other: abs(vehicle.lane_distance_to(other)))
+        close.sort(key=lambda other: abs(vehicle.lane_distance_to(other)))
         return close[:count] if count else close
 
 

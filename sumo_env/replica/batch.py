@@ -98,7 +98,7 @@ def reward_weights(task: Task, config: Config) -> RewardWeights:
     def weight(key: str) -> float:
         return float(config.get(key, 0.0))
 
-    limits = task.reward_limits(config) if config.get("normalize_reward", True) else None
+    limits = task.scale(config)
     low, high = limits or (0.0, 1.0)
     slow, fast = config.get("reward_speed_range", (0.0, 1.0))
     return RewardWeights(

@@ -2,8 +2,8 @@
 
 Numba keeps the machine code in ``__pycache__`` beside the sources or, where that is read-only, in the user's cache
 directory (or in ``NUMBA_CACHE_DIR``). It compiles a function again when the function's own file has changed, but not
-when a function of another file that it calls has; therefore machine code that is older than the newest file here is
-dropped before it is loaded.
+when a function of another file that it calls has; therefore machine code that is older than the newest file of what
+kernels use is dropped before it is loaded.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from sumo_env.contacts import measures, rectangles
+from sumo_env.contacts import rectangles
 from sumo_env.spaces import approach
-from sumo_env.tasks import TASKS, base
+from sumo_env.tasks import base
 
 try:
     import numba
@@ -134,6 +134,5 @@ _BENEATH = (
 for _function in _BENEATH:  # plain Python, which functions call that kernels call
     register_jitable(_function)
 
-_tasks = (sys.modules[type(task).__module__] for task in TASKS.values())
-_sources = [Path(str(module.__file__)) for module in (base, *_tasks, measures, rectangles, approach)]
-_newest = max(source.stat().st_mtime for source in (*Path(__file__).parent.glob("*.py"), *_sources))
+_rooms = [Path(__file__).parents[1] / name for name in ("replica", "tasks", "contacts", "spaces")]
+_newest = max(source.stat().st_mtime for room in _rooms for source in room.glob("*.py"))

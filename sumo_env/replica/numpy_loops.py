@@ -60,10 +60,11 @@ def _call(builder: Any, name: str, pointers: list[Any], count: Any) -> None:
         builder.store(NUMBER(8), cgutils.gep_inbounds(builder, strides, 0, k))
     module, data = builder.module, f"{name}_data"
     arguments = [
-        builder.bitcast(arrays, POINTER.as_pointer()), cgutils.alloca_once_value(builder, count),
+        builder.bitcast(arrays, POINTER.as_pointer()),
+        cgutils.alloca_once_value(builder, count),
         builder.bitcast(strides, NUMBER.as_pointer()),
         module.globals.get(data) or cgutils.add_global_variable(module, BYTE, data),
-    ]  # fmt: skip
+    ]
     function = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments])
     builder.call(cgutils.get_or_insert_function(module, function, name), arguments)
 

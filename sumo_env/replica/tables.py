@@ -286,12 +286,12 @@ def _rest(
     road: Road, lane: LaneIndex, goal: str | None, changes_lanes: bool, is_obstacle: bool, driver: Driver
 ) -> bytes:
     """What `cars_of` writes behind the timer, the same in many episodes."""
-    return REST.pack(
-        changes_lanes, is_obstacle, False, *route_of(road, lane, goal), 0, NONE if goal is None else lane[2],
-        False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, 0,
-        driver.accel, driver.decel, driver.min_gap + VEHICLE_LENGTH, driver.tau, driver.delta, driver.emergency_decel,
-        driver.safe_braking, driver.min_gain, driver.gives_way, *[0] * len(LINEAR + SLIDING),
-    )  # fmt: skip
+    way = *route_of(road, lane, goal), 0, NONE if goal is None else lane[2]
+    nothing = False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, 0
+    follows = driver.accel, driver.decel, driver.min_gap + VEHICLE_LENGTH, driver.tau, driver.delta
+    changes = driver.emergency_decel, driver.safe_braking, driver.min_gain, driver.gives_way
+    rest = [0] * len(LINEAR + SLIDING)
+    return REST.pack(changes_lanes, is_obstacle, False, *way, *nothing, *follows, *changes, *rest)
 
 
 def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
@@ -334,11 +334,9 @@ def drive_linearly(car: Any, driver: LinearDriver) -> None:
 
 def events_of(events: Iterable[RiskEvent], numbers: dict[str, int]) -> Records:
     """Risk events as records of EVENT; `numbers`: of the cars, by id."""
-    rows = [
-        (
-            event.time, numbers[event.vehicle], CUT_IN if event.kind_on("the replica") == "cut-in" else PUSH,
-            event.direction, event.accel, event.duration, event.way,
-        )
-        for event in events
-    ]  # fmt: skip
+    rows = []
+    for event in events:
+        kind = CUT_IN if event.kind_on("the replica") == "cut-in" else PUSH
+        how = event.direction, event.accel, event.duration, event.way
+        rows.append((event.time, numbers[event.vehicle], kind, *how))
     return np.array(rows, EVENT)

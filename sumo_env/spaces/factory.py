@@ -54,9 +54,7 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     if task.reference and kind.names and asked is None and own != TARGET_SPEEDS:
         has = f"config['action'] without 'target_speeds' has those of {task.name!r}, {own} m/s"
         warn_once(f"{has}; in highway-env {TARGET_SPEEDS} ({page('control')})")
-    limits = task.reward_limits(config)
-    is_asked = "normalize_reward" not in task.defaults or config["normalize_reward"]
-    if limits and is_asked and limits[0] == limits[1]:
+    if (limits := task.scale(config)) and limits[0] == limits[1]:
         raise ConfigError(
             f"the reward cannot be normalised: by its weights it is always {limits[0]:g}; change 'collision_reward', "
             "say, or set 'normalize_reward' to False"

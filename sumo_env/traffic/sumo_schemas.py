@@ -43,26 +43,6 @@ def schema(name: str) -> dict[str, dict[str, str]]:
     }
 
 
-def _known() -> dict[str, set[str]]:
-    """Attributes of a vType, those of every car-following model included, with their types; empty without a schema."""
-    found: dict[str, set[str]] = {}
-    for names in (schema("route").get("vTypeBaseType", {}), *_models().values()):
-        for name, type in names.items():
-            found.setdefault(name, set()).add(type)
-    return found
-
-
-def _models() -> dict[str, dict[str, str]]:
-    """Car-following models, with their own attributes and types; empty without a schema, in which two are missing."""
-    kinds = schema("route")
-    found = {
-        name.removeprefix(_MODEL): kinds[kind]
-        for name, kind in kinds.get("vTypeBaseType", {}).items()
-        if name.startswith(_MODEL)
-    }
-    return found | {"Rail": {}, "KraussX": {}} if found else found
-
-
 def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
     """That SUMO knows these attributes of the vehicle type `name`, its model and its class, and that numbers are such.
 
@@ -71,7 +51,12 @@ def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
     Raises:
         ValueError: it does not; the message names the nearest one, or what a value may be.
     """
-    known, models = _known(), _models()
+    kinds = schema("route")
+    known = kinds.get(
+        "vTypeBaseType", {}
+    )  # of all models; empty without a schema, as these, of which it lacks two:
+    models = {key.removeprefix(_MODEL): kinds[kind] for key, kind in known.items() if key.startswith(_MODEL)}
+    models |= {"Rail": {}, "KraussX": {}} if models else {}
     model = str(attributes.get("carFollowModel", "IDM"))
     if models and model not in models:
         raise ValueError(f"SUMO has no carFollowModel {model!r}, as {name!r} has: {nearest(model, models)}")
@@ -92,11 +77,11 @@ def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
             )
 
 
-def _check_number(attribute: str, value: object, types: set[str], name: str) -> None:
-    """Raise ValueError unless a value of one of these types is a number that it may be."""
-    if not types <= _NUMBERS.keys():
+def _check_number(attribute: str, value: object, kind: str, name: str) -> None:
+    """Raise ValueError unless a value of a type of numbers is one."""
+    if kind not in _NUMBERS:
         return
-    least, above = min(_NUMBERS[type] for type in types), types == {"positiveFloatType"}
+    least, above = _NUMBERS[kind], kind == "positiveFloatType"
     try:
         number = float(str(value))
     except ValueError:

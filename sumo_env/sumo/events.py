@@ -36,9 +36,7 @@ from sumo_env.traffic.scenario import Scenario
 CHANGE_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
 DELAY = 2.0  # [s] that a cut-in waits for a vehicle that stands, or whose edge ends too soon; then it does not come
 PATIENCE = 10.0  # [s] that a vehicle waits for room to come back, before SUMO's lane-change model decides
-REACTION = (
-    1.0  # [s] earlier than it can stop with its type's `decel`, a vehicle stops to surge towards a red light
-)
+REACTION = 1.0  # [s] before it would have to brake with its type's `decel` for a red light, a surge pauses
 YELLOW = 3.0  # [s] that a light is yellow before it is red, as netconvert makes them
 # [s] While a speed is commanded, and after it, SUMO's EIDM may wish to stop at once, from any speed.
 SETTLING = 1.0
@@ -86,22 +84,15 @@ def stops_ahead(at: Moment) -> bool:
     way = speed * (speed / (2.0 * of.getDecel(name)) + REACTION)
     lane, place = of.getLaneID(name), of.getLanePosition(name)
     ends = (end - place for own, end, _, _, leads, _ in of.getBestLanes(name) if own == lane and not leads)
-    lights = (
-        distance
-        for _, _, distance, letter in of.getNextTLS(name)
-        if letter in "rRuyY" or distance > speed * YELLOW
-    )
+    lights = (far for _, _, far, state in of.getNextTLS(name) if state in "rRuyY" or far > speed * YELLOW)
     return any(distance < way for distance in (*ends, *lights))
 
 
 @dataclass(frozen=True)
 class Push(EventKind):
-    """Sudden braking, or a surge, which switches SUMO's car following off.
+    """Sudden braking, or a surge, which switches SUMO's car following off."""
 
-    heeds_sumo: whether who brakes does so at least as hard as SUMO would have.
-    """
-
-    heeds_sumo: bool = True
+    heeds_sumo: bool = True  # whether who brakes does so at least as hard as SUMO would have
 
     def pauses(self, at: Moment) -> bool:
         """A surge pauses where somebody is near straight ahead, it has to stop, or SUMO changes its lane.
@@ -163,13 +154,14 @@ class Events:
         if self._tilted:
             self._tilted.plan((name for name, _ in scenario.lifetimes), scenario.events)
         self._session, self._network, self._road = session, network, road
-        self._asks_for_markings = scenario.traffic is not None
-        models = scenario.traffic.models if scenario.traffic is not None else ()
-        self._eidm = {type for type, model in models if model == "EIDM"}
-        self._returning: dict[str, float] = {}  # vehicles whose speed SUMO's EIDM gets back, and when [s]
+        traffic = scenario.traffic
+        self._asks_for_markings = traffic is not None
+        self._eidm = {type for type, model in traffic.models if model == "EIDM"} if traffic else set()
         self._waiting: dict[str, RiskEvent] = {}  # cut-ins that are due but cannot begin yet
         self._changes: dict[str, Change] = {}  # of vehicles whose lanes are commanded
         self._running: dict[str, Running] = {}  # what commands a vehicle, but for cut-ins
+        self._returning: dict[str, float] = {}  # vehicles whose speed SUMO's EIDM gets back, and when [s]
+        self._held: Any = self._waiting, self._changes, self._running, self._returning
         self._states: dict[str, State] = {}  # of all vehicles in this sub-step, once somebody has looked
         self._squares: dict[tuple[float, float], list[str]] = {}  # of the plane, with the vehicles there
         self._longest = LENGTH  # [m] of a vehicle that is there, at least of a car
@@ -177,13 +169,9 @@ class Events:
     def act(self, time: float, dt: float) -> None:
         """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
         is_due = self._coming and self._coming[-1].time <= time + EARLY
-        if not (is_due or self._waiting or self._changes or self._running or self._returning):
+        if not (is_due or any(self._held)):
             return
         self._states = {}
-        for name in [name for name, end in self._returning.items() if time >= end - EARLY]:
-            del self._returning[name]
-            if self._may_act(name) and not self._road[name].has_speed:
-                self._road[name].drive(-1.0)
         while self._coming and self._coming[-1].time <= time + EARLY:
             event = self._coming.pop()
             if self._may_act(event.vehicle) and self._comes(event):
@@ -191,10 +179,14 @@ class Events:
                     self._cut_in(event, time)
                 else:
                     self._start(event, time, dt)
-        for name in {*self._waiting, *self._changes, *self._running}:
+        for name in {name for held in self._held for name in held}:
             if not self._may_act(name):
-                for commanded in (self._waiting, self._changes, self._running):
-                    commanded.pop(name, None)
+                for held in self._held:
+                    held.pop(name, None)
+        for name in [name for name, end in self._returning.items() if time >= end - EARLY]:
+            del self._returning[name]
+            if not self._road[name].has_speed:
+                self._road[name].drive(-1.0)
         for name, event in list(self._waiting.items()):
             del self._waiting[name]
             if time < event.time + DELAY:
@@ -277,10 +269,9 @@ class Events:
         if beside is None or name in self._changes:
             return False
         self._steer(name, side, beside)
-        comes_back = seconds < inf
-        self._changes[name] = Change(
-            time + (max(seconds, CHANGE_TIME) if comes_back else CHANGE_TIME), -side if comes_back else 0
-        )
+        stays = seconds == inf
+        end = time + (CHANGE_TIME if stays else max(seconds, CHANGE_TIME))
+        self._changes[name] = Change(end, 0 if stays else -side)
         return True
 
     def _steer(self, name: str, side: int, beside: LaneIndex) -> None:
@@ -317,9 +308,7 @@ class Events:
         if self._network.road.oncoming and lane.rpartition("_")[0] not in of.getRoute(name):
             start, end = end, start  # it drives on the lane of oncoming traffic
         beside = self._network.road.beside((start, end, place), side)
-        if beside is None or self._leads_off(name, beside):
-            return None
-        if not self._may_begin(name):
+        if beside is None or self._leads_off(name, beside) or not self._may_begin(name):
             return None
         # markings and classes, without which SUMO does not let a vehicle change there
         there, kind = self._network.lanes[beside].id, of.getVehicleClass(name)

@@ -15,8 +15,7 @@ from sumo_env.config import ConfigError, warn_once
 from sumo_env.env.episode import Episode
 from sumo_env.simulator import Simulator, SimulatorError
 from sumo_env.sumo import export
-from sumo_env.sumo.outputs import written
-from sumo_env.sumo.paths import is_output, temporary_folder
+from sumo_env.sumo.paths import is_output, temporary_folder, written
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.settings import file_settings
 from sumo_env.sumo.user_options import OUTPUT_DIR, check_live, check_options, check_outputs

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from sumo_env.sumo.outputs import prefix, written
+from sumo_env.sumo.paths import prefix, written
 from sumo_env.sumo.user_options import OUTPUT_DIR
 from sumo_env.traffic.scenario import Scenario
 
@@ -47,15 +47,7 @@ def placed_settings(
     vehicle_types: Iterable[tuple[str, Mapping[str, str]]],
     further: Mapping[str, str],
 ) -> Settings:
-    """Settings for vehicles that this package places itself.
-
-    Args:
-        net_file: the network.
-        routes: (id, edges) of each.
-        step_length: [s].
-        vehicle_types: (id, attributes of SUMO's vType) of each.
-        further: options of SUMO.
-    """
+    """Settings for vehicles that this package places itself; routes and types by their ids, further options."""
     root = ElementTree.Element("additional")
     for name, attributes in vehicle_types:
         ElementTree.SubElement(root, "vType", {"id": name, **attributes})
@@ -78,13 +70,10 @@ def placed_settings(
 
 
 def file_settings(scenario: Scenario, further: Mapping[str, str], outputs: Path | None = None) -> Settings:
-    """Settings for traffic of SUMO's files, with the seed of the scenario.
+    """Settings for `SumoTraffic`, with the seed of the scenario; further: options of SUMO that a user adds.
 
-    Args:
-        scenario: with `traffic`.
-        further: options of SUMO that a user adds.
-        outputs: folder into which SUMO writes all its files, those of detectors in additional files included; by
-            default they are where files and options say.
+    outputs: folder into which SUMO writes all its files, those of detectors in additional files included; by default
+    they are where files and options say.
     """
     assert scenario.traffic is not None
     given = dict(further)

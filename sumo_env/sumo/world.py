@@ -25,7 +25,7 @@ from sumo_env.sumo.engine import LIBSUMO, window
 from sumo_env.sumo.events import Events
 from sumo_env.sumo.learning_car import Car
 from sumo_env.sumo.libsumo_calls import plain
-from sumo_env.sumo.outputs import EpisodeFolders, prefix, written
+from sumo_env.sumo.paths import EpisodeFolders, prefix, written
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.settings import Settings, leaves_traces, placed_settings
 from sumo_env.sumo.user_options import LIVE, OUTPUT_DIR

@@ -164,16 +164,17 @@ FIXED: dict[str, tuple[Any, str]] = {
 # ignored there with a warning, as highway-env does; so are unknown keys of its observations and actions.
 HIGHWAY_ENVS = ("highway", "two-way", "roundabout", "intersection", "u-turn", "merge", "exit")
 IGNORED = {
-    "action_reward", "add_walls", "after_merge_length", "arrived_reward", "before_merge_length", "block_lane",
-    "converge_merge_length", "derivative_noise", "destination", "ego_spacing", "force_decision", "goal_reward",
-    "incoming_vehicle_destination", "initial_lane_id", "initial_spacing", "initial_vehicle_count",
-    "lane_centering_cost", "lane_centering_reward", "lane_change_reward", "lanes_count", "left_lane_constraint",
-    "left_lane_reward", "length", "merging_speed_reward", "no_lanes", "normalize_reward", "offroad_terminal",
-    "oncoming_vehicles_count", "other_vehicles", "parallel_merge_length", "reward_speed_range",
-    "reward_weights", "right_lane_reward", "road_length", "roundabout_lanes", "roundabout_radius",
-    "spawn_probability", "speed_limit", "state_noise", "steering_range", "success_goal_reward",
-    "terminate_off_road", "vehicles_count", "vehicles_density",
-}  # fmt: skip
+    *("action_reward", "add_walls", "after_merge_length", "arrived_reward", "before_merge_length"),
+    *("block_lane", "converge_merge_length", "derivative_noise", "destination", "ego_spacing"),
+    *("force_decision", "goal_reward", "incoming_vehicle_destination", "initial_lane_id"),
+    *("initial_spacing", "initial_vehicle_count", "lane_centering_cost", "lane_centering_reward"),
+    *("lane_change_reward", "lanes_count", "left_lane_constraint", "left_lane_reward", "length"),
+    *("merging_speed_reward", "no_lanes", "normalize_reward", "offroad_terminal"),
+    *("oncoming_vehicles_count", "other_vehicles", "parallel_merge_length", "reward_speed_range"),
+    *("reward_weights", "right_lane_reward", "road_length", "roundabout_lanes", "roundabout_radius"),
+    *("spawn_probability", "speed_limit", "state_noise", "steering_range", "success_goal_reward"),
+    *("terminate_off_road", "vehicles_count", "vehicles_density"),
+}
 # Arguments of some environments, and of which.
 ARGUMENTS = {
     **dict.fromkeys(("sumo_options", "live", "output_dir"), "single environments on SUMO"),
@@ -207,22 +208,14 @@ def _meant(key: str, known: Mapping[str, Any]) -> str:
 
 
 def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    """The value of an argument of this name that can only be one of some words.
-
-    Raises:
-        ConfigError: it is none of them.
-    """
+    """The value of an argument of this name that can only be one of some words. Raises ConfigError: it is none."""
     if value not in choices:
         raise ConfigError(f"unknown {name} {value!r}: {nearest(str(value), list(choices))}")
     return str(value)
 
 
 def whole_number(name: str, value: Any, most: int) -> int:
-    """A value that can only be a whole number from 1 to `most`.
-
-    Raises:
-        ConfigError: it is none.
-    """
+    """A value that can only be a whole number from 1 to `most`. Raises ConfigError: it is none."""
     if not isinstance(value, int | float) or not 1 <= value <= most or value != int(value):
         raise ConfigError(f"{name} must be a whole number from 1 to {most}, not {value!r}")
     return int(value)
@@ -256,7 +249,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     is_theirs = task in HIGHWAY_ENVS
     for override in overrides:
         for key, given in keys_of(override).items():
-            value = _plain(given)
+            value = plain(given)
             if key in known:
                 config[key] = value
                 continue
@@ -276,7 +269,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     frequency, given = "simulation_frequency", (overrides[-1] if overrides else None) or {}
     if is_theirs and frequency not in given and config[frequency] == known[frequency]:
         policy = config["policy_frequency"]
-        if _is_number(policy) and policy > known[frequency]:  # nobody has asked for the default
+        if is_number(policy) and policy > known[frequency]:  # nobody has asked for the default
             config[frequency] = max(known[frequency], STOCK_FREQUENCY)
     _check(task, config, known)
     return config
@@ -327,14 +320,14 @@ def tell_of_steps(frequency: int) -> None:
         )
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A copy of a value, with numpy's scalars and arrays as Python's numbers and lists."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return copy.deepcopy(value)
 
 
@@ -342,7 +335,7 @@ def _check(task: str, config: Config, defaults: Config) -> None:
     if lacking := {"duration", *TYPES} - config.keys():
         raise ConfigError(f"the defaults of {task!r} lack {', '.join(sorted(lacking))}: add the base class's")
     for key, default in defaults.items():
-        row = KEYS.get(key, WEIGHT if key.endswith("_reward") and _is_number(default) else Key())
+        row = KEYS.get(key, WEIGHT if key.endswith("_reward") and is_number(default) else Key())
         row.check(key, default, config[key])
     one_of("value of config['drivers']:", config["drivers"], DRIVERS)
     speeds = config["reward_speed_range"] if "reward_speed_range" in defaults else None
@@ -381,7 +374,8 @@ def _check_type(task: str, group: str, given: Config, types: Mapping[str, Config
         _check_kind(f"{group} {key!r}", defaults[key], value)
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
@@ -391,11 +385,11 @@ def _check_kind(name: str, default: Any, value: Any) -> None:
     if isinstance(default, bool):
         wanted = None if isinstance(value, bool | int) else "True or False"
     elif isinstance(default, int | float):
-        wanted = None if _is_number(value) else "a number"
+        wanted = None if is_number(value) else "a number"
     elif isinstance(default, dict):
         wanted = None if isinstance(value, dict) else 'a dict such as {"type": ...}'
     elif isinstance(default, list) and not (
-        isinstance(value, list) and len(value) == len(default) and all(map(_is_number, value))
+        isinstance(value, list) and len(value) == len(default) and all(map(is_number, value))
     ):
         wanted = f"a list of {len(default)} numbers"
     if wanted:

@@ -30,6 +30,10 @@ except ModuleNotFoundError as error:
     ) from None
 
 
+# observations, rewards, terminations, truncations and ``info``, each by agent
+Results = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
+
+
 class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
     """Learning cars ``car_0``, ``car_1`` ..., each with the spaces, rewards and ``info`` of `DrivingEnv`.
 
@@ -90,9 +94,7 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
         self.agents = [agent for agent in self.possible_agents if agent in staying or agent in come]
         return {agent: one[0] for agent, one in come.items()}, {agent: one[1] for agent, one in come.items()}
 
-    def step(
-        self, actions: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    def step(self, actions: Mapping[str, Any]) -> Results:
         """Drive one policy step.
 
         Returns:
@@ -150,9 +152,7 @@ class AllAgents(BaseParallelWrapper[str, Any, Any]):
         self.agents = list(self.possible_agents)
         return self._of_all(observations), {agent: infos.get(agent, {}) for agent in self.agents}
 
-    def step(
-        self, actions: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    def step(self, actions: Mapping[str, Any]) -> Results:
         """Drive one policy step."""
         observations, rewards, _, truncations, infos = self.env.step(
             {agent: actions[agent] for agent in self.env.agents}

@@ -118,13 +118,7 @@ def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
 
 
 def missing(owner: str, name: str, known: Iterable[str]) -> AttributeError:
-    """The error about an attribute that is not here.
-
-    Args:
-        owner: what lacks it, as its user knows it.
-        name: the attribute.
-        known: what there is instead.
-    """
+    """The error about an attribute that its owner, as a user knows it, lacks; known: what there is instead."""
     instead = REASONS.get(name) or did_you_mean(name, known, 0.75)
     told = f"{owner} has no attribute {name!r}" + (f": {instead}" if instead else "")
     # with its name alone, so that Python adds no guess of its own

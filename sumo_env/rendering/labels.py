@@ -44,15 +44,9 @@ def beside(
     words: Sequence[Box],
     cars: Sequence[Box],
 ) -> Box:
-    """The place of a word beside a car: near, and free as far as there is such a place.
+    """The place of a word of this size beside a car's middle: near, and free as far as there is such a place [px].
 
-    Args:
-        centre: middle of the car [px].
-        reach: radius of its ring [px].
-        size: width and height of the word [px].
-        picture: what has to hold the word.
-        words: what is written already.
-        cars: in the picture, the ego first.
+    reach: radius of the car's ring; picture: what has to hold the word; words: written already; cars: the ego first.
     """
 
     area = size[0] * size[1]

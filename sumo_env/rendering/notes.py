@@ -40,14 +40,10 @@ class Notes(NamedTuple):
 
 
 def notes(scene: Scene, scenario: Scenario, met: EgoStep | None, action: str, duration: float) -> Notes:
-    """The notes on a scene of an episode.
+    """The notes on a scene of an episode, which lasts for this duration [s].
 
-    Args:
-        scene: an instant of a policy step.
-        scenario: with the risk events.
-        met: what the ego meets in this policy step, as ``info`` says it; None before the first one.
-        action: name of the ego's last meta-action, "" without one.
-        duration: of the episode [s].
+    met: what the ego meets in this policy step, as ``info`` says it, None before the first one; action: name of its
+    last meta-action, "" without one.
     """
     lines = [("", f"{scene.time:.1f} s   {scene.speed.item(0):.1f} m/s   {action}".rstrip())]
     light = scene.light

@@ -36,14 +36,7 @@ COLOURS = {
 
 
 def draw(scene: Scene, road: Road, view: Mapping[str, Any], notes: Notes | None = None) -> NDArray[np.uint8]:
-    """The picture of a scene, shape (screen_height, screen_width, 3).
-
-    Args:
-        scene: what is drawn.
-        road: the lanes.
-        view: size, zoom and camera, see `Camera.of`.
-        notes: what is written into it.
-    """
+    """The picture of a scene with notes, shape (screen_height, screen_width, 3); view: as of `Camera.of`."""
     notes = notes or Notes()
     camera = Camera.of(scene, view, SUPERSAMPLING)
     canvas = scenery(scene, road, camera, FILM)
@@ -89,9 +82,7 @@ def _write_beside_cars(
 ) -> None:
     """Write the words of marks beside their cars, where those are in the picture.
 
-    Args:
-        radius: of the largest ring around a vehicle [m].
-        words: what is written already; the new ones are added.
+    radius: of the largest ring around a vehicle [m]; words: written already, to which the new ones are added.
     """
     pen, whole = ImageDraw.Draw(picture), Box(0.0, 0.0, picture.width, picture.height - _bar(picture))
     cars = [_extent(scene, row, camera) for row in range(len(scene))]

@@ -17,7 +17,7 @@ import numpy as np
 from sumo_env.config import Config, ConfigError
 from sumo_env.networks.roads import Road
 from sumo_env.replica.tables import as_rotated
-from sumo_env.streams import stream
+from sumo_env.streams import Random, stream
 from sumo_env.tasks import TASKS, exit, highway, merge, roundabout, u_turn
 from sumo_env.tasks.base import Task, cars_count, make_on_lane, obstacles
 from sumo_env.tasks.intersection import INITIAL_SPAWN_PROBABILITY, Intersection
@@ -25,7 +25,6 @@ from sumo_env.tasks.two_way import ONCOMING, OWN
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id, fits
 
-Random = np.random.Generator
 Centres = Sequence[tuple[float, float]]  # [m]
 Vehicles = tuple[VehicleSpec, ...]
 # Where vehicles are after a warm-up of this time [s] and frequency [Hz].

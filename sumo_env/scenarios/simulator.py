@@ -145,7 +145,7 @@ class FileSimulator(SumoSimulator):
     def _make_risky(self, vehicle: Vehicle) -> None:
         """What the dose does to a vehicle that has come: its parameters, and its events once the episode has begun."""
         name = vehicle.name
-        if self._session.vehicle.getVehicleClass(name) not in RISKY_CLASSES:
+        if not self._may_be_risky(name):
             return
         model = self._models.get(self._session.type_of(name), "")
         drawn = self._traffic.ranges, self._scenario.risk, self._scenario.seed, name, model
@@ -158,8 +158,8 @@ class FileSimulator(SumoSimulator):
             self._events.plan(name, self._drawn(name, start))
 
     def _may_be_risky(self, name: str) -> bool:
-        is_of_road = self._session.vehicle.getVehicleClass(name) in RISKY_CLASSES
-        return is_of_road and not self._road[name].is_learning
+        kind = self._session.vehicle.getVehicleClass(name)
+        return kind in RISKY_CLASSES and not self._road[name].is_learning
 
     def _drawn(self, name: str, start: float) -> tuple[RiskEvent, ...]:
         """The events of a vehicle from `start` [s] on; its random streams have its own name."""

@@ -24,14 +24,9 @@ class Grayscale:
     """
 
     def __init__(self, config: Mapping[str, Any], view: Mapping[str, Any]) -> None:
-        """Make the observation of a configuration.
+        """Make an entry ``observation``. Raises ConfigError: shape, number of pictures or camera make no sense.
 
-        Args:
-            config: the configuration's entry ``observation``.
-            view: the configuration, whose ``scaling`` and ``centering_position`` hold where that entry has none.
-
-        Raises:
-            ConfigError: the shape, the number of pictures or the camera makes no sense.
+        view: the configuration, whose ``scaling`` and ``centering_position`` hold where that entry has none.
         """
         given = {**GRAYSCALE, **config}
         width, height = given["observation_shape"]

@@ -29,14 +29,9 @@ class Lidar:
     """
 
     def __init__(self, config: Mapping[str, Any], *, own_axes: bool = False) -> None:
-        """Make the observation of a configuration.
+        """Make an entry ``observation``. Raises ConfigError: the number of cells or the range makes no sense.
 
-        Args:
-            config: the configuration's entry ``observation``.
-            own_axes: whether x is ahead of the ego, and y to its right.
-
-        Raises:
-            ConfigError: the number of cells or the range makes no sense.
+        own_axes: whether x is ahead of the ego, and y to its right.
         """
         given = {**LIDAR, **config}
         self.cells = whole_number("observation 'cells'", given["cells"], MOST_CELLS)

@@ -63,16 +63,11 @@ class Kinematics:
     """
 
     def __init__(self, config: Mapping[str, Any], side_lanes: int, *, on_its_way: bool = False) -> None:
-        """Make the table of a configuration.
+        """Make the table of an entry ``observation``. Raises ConfigError: unknown feature, order or malformed range.
 
-        Args:
-            config: the configuration's entry ``observation``.
-            side_lanes: lanes of the ego's first road, which sets the default range of y.
-            on_its_way: whether there are the features `ON_ITS_WAY`, and the table is seen in the ego's axes: x ahead, y
-                to its right, headings from its own (unless `absolute`).
-
-        Raises:
-            ConfigError: unknown feature, order or malformed range.
+        side_lanes: lanes of the ego's first road, which sets the default range of y; on_its_way: whether there are the
+        features `ON_ITS_WAY`, and the table is seen in the ego's axes: x ahead, y to its right, headings from its own
+        (unless `absolute`).
         """
         given = {**KINEMATICS, **config}
         features = given["features"] or USUAL

@@ -164,12 +164,9 @@ class Session:
     def send(self, name: str, edges: Sequence[str], is_trip: bool, vehicle_type: str, speed: str) -> bool:
         """Let SUMO insert a vehicle as soon as it can; False where there is no route.
 
-        It draws none of SUMO's random numbers, so that the others come as without it: its speed factor is the mean.
-
-        Args:
-            name, edges: of its route; of a trip the first and the last one, between which SUMO finds the fastest route.
-            is_trip, vehicle_type: whether it is a trip; the type of which it gets a copy.
-            speed: at the departure [m/s], or SUMO's word for one.
+        It draws none of SUMO's random numbers, so that the others come as without it: its speed factor is the mean. It
+        has a copy of its type. Of a trip SUMO finds the fastest route between the first and the last edge. speed: at
+        the departure [m/s], or SUMO's word for one.
         """
         route, own_type = f"route of {name}", f"{vehicle_type} of {name}"
         self.sumo.vehicletype.copy(vehicle_type, own_type)

@@ -8,15 +8,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-
-from sumo_env.config import MEASURED, Config, ConfigError, pace, simulated_frequency
+from sumo_env.config import MEASURED, Config, ConfigError, is_number, pace, plain, simulated_frequency
 from sumo_env.networks.roads import LaneIndex, Road, is_shipped
 from sumo_env.scene import OBSTACLE, Place, Scene
-from sumo_env.streams import stream
+from sumo_env.streams import Random, stream
 from sumo_env.traffic.drivers import (
     POOL,
     RISK_RANGES,
+    SPREAD_PARAMETERS,
     STANDING,
     Calibration,
     CarFollowing,
@@ -28,8 +27,8 @@ from sumo_env.traffic.measured import MeasuredPool
 from sumo_env.traffic.risk import EventKind, RiskEvent, RiskRates, draw_events, draw_own_events
 from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec, car_id, lifetimes
 
+Specs = list[VehicleSpec]
 MOST_VARIED = 1000.0  # largest value that `Task.varied` takes
-FACTORS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")  # never 0
 SHARES = ("not_giving_way", "ignores_approaching", "ignores_inside")  # at most 1
 TARGET_SPEEDS = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
 
@@ -116,25 +115,17 @@ class Task:
         """Steps that are simulated per second [Hz]."""
         return simulated_frequency(config)
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         """The ego at the start."""
         raise NotImplementedError
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
+    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
         """The other vehicles at the start."""
         raise NotImplementedError
 
     def with_cars(
-        self,
-        config: Config,
-        road: Road,
-        ego: VehicleSpec,
-        vehicles: list[VehicleSpec],
-        count: int,
-        rng: np.random.Generator,
-    ) -> list[VehicleSpec]:
+        self, config: Config, road: Road, ego: VehicleSpec, vehicles: Specs, count: int, rng: Random
+    ) -> Specs:
         """The other vehicles, with all but the first of `count` learning cars among them (`car_id`)."""
         if count > 1 + len(self.start_places):
             raise ConfigError(
@@ -174,11 +165,15 @@ class Task:
         """Rewards that ``normalize_reward`` maps to 0 and 1, which must differ; None where there is no such key."""
         return None
 
-    def normalized(self, reward: float, config: Config) -> float:
-        """A reward mapped from `reward_limits` to [0, 1] where ``normalize_reward`` asks for it."""
-        limits = self.reward_limits(config)
+    def scale(self, config: Config) -> tuple[float, float] | None:
+        """`reward_limits`, where ``normalize_reward`` asks for them."""
         is_asked = "normalize_reward" not in self.defaults or config["normalize_reward"]
-        return lmap(reward, limits, (0.0, 1.0)) if limits and is_asked else reward
+        return self.reward_limits(config) if is_asked else None
+
+    def normalized(self, reward: float, config: Config) -> float:
+        """A reward mapped from `scale` to [0, 1]."""
+        limits = self.scale(config)
+        return lmap(reward, limits, (0.0, 1.0)) if limits else reward
 
     def arrived(self, ego: EgoState) -> bool:
         """Whether the ego has reached a goal, which ends the episode unless `terminated` says else; most have none."""
@@ -383,21 +378,16 @@ def _alike(name: str, present: Any, value: Any, key: str) -> Any:
     Raises:
         ConfigError: another one, or numbers beyond what there can be of this key.
     """
-    positive, most = key in FACTORS, 1.0 if key in SHARES else MOST_VARIED
+    value = plain(value)
     if isinstance(present, bool):
-        if not isinstance(value, bool | np.bool_):
+        if not isinstance(value, bool):
             raise ConfigError(f"{name} must be True or False, not {value!r}")
-        return bool(value)
-    is_range = isinstance(present, tuple)
-    many = list(value) if is_range and isinstance(value, tuple | list | np.ndarray) else [value]
-    numbers = [one for one in many if isinstance(one, int | float | np.number) and not isinstance(one, bool)]
-    if (
-        len(numbers) != 1 + is_range
-        or len(numbers) < len(many)
-        or not all(0.0 <= one <= most and not (positive and one == 0.0) for one in numbers)
-        or numbers[0] > numbers[-1]
-    ):
-        what = "two rising numbers" if is_range else "a number"
-        least = "(0" if positive else "[0"
+        return value
+    is_range, positive = isinstance(present, tuple), key in SPREAD_PARAMETERS
+    most = 1.0 if key in SHARES else MOST_VARIED
+    many = value if is_range and isinstance(value, list) else [value]
+    numbers = [float(one) for one in many if is_number(one) and 0.0 <= one <= most and (one or not positive)]
+    if len(numbers) < len(many) or len(numbers) != 1 + is_range or numbers != sorted(numbers):
+        what, least = "two rising numbers" if is_range else "a number", "(0" if positive else "[0"
         raise ConfigError(f"{name} must be {what} in {least}, {most:g}], not {value!r}")
-    return tuple(map(float, numbers)) if is_range else float(value)
+    return tuple(numbers) if is_range else numbers[0]

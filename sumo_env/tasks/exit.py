@@ -11,7 +11,8 @@ import numpy as np
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, exit_road
 from sumo_env.scene import PERCEPTION_DISTANCE
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.streams import Random
+from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -67,14 +68,12 @@ class Exit(Task):
             )
         return exit_road(lanes_count=int(config["lanes_count"]))
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         gap = _spacing(SPEED, config["ego_spacing"], road)
         s = 3.0 * gap + gap * rng.uniform(0.9, 1.1)
         return make_on_lane(road, EGO, (*START, 0), s, SPEED, ego_driver(self))
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
+    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
         # no vehicle further ahead is ever seen
         reach = ego.s + max(self.target_speeds) * config["duration"] + 2 * PERCEPTION_DISTANCE
         how: dict[str, Any] = {"destination": AHEAD, "changes_lanes": False}
@@ -107,9 +106,7 @@ class Exit(Task):
         return ego.crashed
 
 
-def places(
-    config: Config, road: Road, s: float, rng: np.random.Generator
-) -> Iterator[tuple[LaneIndex, float, float]]:
+def places(config: Config, road: Road, s: float, rng: Random) -> Iterator[tuple[LaneIndex, float, float]]:
     """Lanes, s [m] and speeds [m/s] of the others, as ``ExitEnv._create_vehicles`` draws them; s: of the ego."""
     numbers = np.arange(road.count(*START))
     for _ in range(int(config["vehicles_count"])):

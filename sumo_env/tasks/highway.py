@@ -9,7 +9,8 @@ import numpy as np
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, highway
 from sumo_env.scene import MAX_SPEED, PERCEPTION_DISTANCE, Floats
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.streams import Random
+from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec, car_id
@@ -62,15 +63,13 @@ class Highway(Task):
     def road(self, config: Config) -> Road:
         return highway(lanes_count=int(config["lanes_count"]))
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         lane = first_lane(config, rng)
         spacing = float(_spacing(np.array(25.0), config["ego_spacing"], config))
         s = spacing * (3.0 + rng.uniform(0.9, 1.1))
         return make_on_lane(road, EGO, lane, s, 25.0, ego_driver(self))
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
+    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
         # Each vehicle is placed ahead of all earlier ones, in a random lane (Vehicle.create_random).
         count = int(config["vehicles_count"])
         lanes = rng.integers(config["lanes_count"], size=count)
@@ -97,14 +96,8 @@ class Highway(Task):
         return float(fastest * config["duration"] + 2 * PERCEPTION_DISTANCE)
 
     def with_cars(
-        self,
-        config: Config,
-        road: Road,
-        ego: VehicleSpec,
-        vehicles: list[VehicleSpec],
-        count: int,
-        rng: np.random.Generator,
-    ) -> list[VehicleSpec]:
+        self, config: Config, road: Road, ego: VehicleSpec, vehicles: Specs, count: int, rng: Random
+    ) -> Specs:
         # ``HighwayEnv._create_vehicles``: ahead of each learning car an even share of the others, then the next one
         placed, last, shift, done = [], ego, 0.0, 0
         spacing = float(_spacing(np.array(25.0), config["ego_spacing"], config))
@@ -132,7 +125,7 @@ class Highway(Task):
         return config["collision_reward"], config["high_speed_reward"] + config["right_lane_reward"]
 
 
-def first_lane(config: Config, rng: np.random.Generator) -> LaneIndex:
+def first_lane(config: Config, rng: Random) -> LaneIndex:
     """The lane in which the ego starts."""
     lane = config["initial_lane_id"]
     if lane is not None and lane not in range(int(config["lanes_count"])):

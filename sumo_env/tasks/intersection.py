@@ -8,8 +8,8 @@ import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import Road, intersection
-from sumo_env.streams import stream
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
+from sumo_env.streams import Random, stream
+from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, make_on_lane, speed_term, weighted
 from sumo_env.traffic.drivers import Calibration, CarFollowing, RiskRanges
 from sumo_env.traffic.measured import FROM_REST, STOP_SIGN, MeasuredPool
 from sumo_env.traffic.risk import RiskRates
@@ -67,10 +67,10 @@ class Intersection(Task):
     def road(self, config: Config) -> Road:
         return intersection()
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         return self.car(0, config, road, rng)
 
-    def car(self, number: int, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def car(self, number: int, config: Config, road: Road, rng: Random) -> VehicleSpec:
         """A learning car at the start: each on the next arm, clockwise."""
         destination = config["destination"] or f"o{rng.integers(1, 4)}"
         if destination not in ("o1", "o2", "o3"):
@@ -82,23 +82,15 @@ class Intersection(Task):
         )
 
     def with_cars(
-        self,
-        config: Config,
-        road: Road,
-        ego: VehicleSpec,
-        vehicles: list[VehicleSpec],
-        count: int,
-        rng: np.random.Generator,
-    ) -> list[VehicleSpec]:
+        self, config: Config, road: Road, ego: VehicleSpec, vehicles: Specs, count: int, rng: Random
+    ) -> Specs:
         if count > 4:
             raise ConfigError(f"'controlled_vehicles' is at most 4, one on each arm, not {count}")
         cars = [self.car(number, config, road, rng) for number in range(1, count)]
         # who comes from its destination takes the first exit of the way back there that highway-env's car drives
         return [*vehicles, *(spec._replace(destination=_exit(road, spec)) for spec in cars)]
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
+    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
         count = int(config["initial_vehicle_count"])
         vehicles: list[VehicleSpec] = []
         for k, place in enumerate(np.linspace(0.0, 80.0, count)[:-1] if count > 0 else ()):
@@ -148,7 +140,7 @@ def _exit(road: Road, car: VehicleSpec) -> str:
 def _attempt(
     id: str,
     road: Road,
-    rng: np.random.Generator,
+    rng: Random,
     drivers: Drivers,
     probability: float,
     longitudinal: float,

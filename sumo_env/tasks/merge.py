@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.networks.roads import LaneIndex, Road, merge
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane
+from sumo_env.streams import Random
+from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, lmap, make_on_lane
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -50,12 +49,10 @@ class Merge(Task):
     def road(self, config: Config) -> Road:
         return merge()
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         return make_on_lane(road, EGO, ("a", "b", 1), 30.0, 30.0, ego_driver(self))
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
+    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
         count = int(config["vehicles_count"])
         if count > len(SLOTS):
             raise ConfigError(f"'vehicles_count' of the merge is at most {len(SLOTS)}, not {count}")
@@ -82,7 +79,7 @@ class Merge(Task):
         return ego.lane[0] == "c" and ego.s > PASSED
 
 
-def places(rng: np.random.Generator) -> list[tuple[LaneIndex, float, float]]:
+def places(rng: Random) -> list[tuple[LaneIndex, float, float]]:
     """Lanes, s [m] and speeds [m/s] of the others on the two lanes, as ``MergeEnv._make_vehicles`` draws them."""
     drawn = []
     for s, speed in SLOTS:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, roundabout
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane
+from sumo_env.streams import Random
+from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, make_on_lane
 from sumo_env.traffic.drivers import Calibration, RiskRanges
 from sumo_env.traffic.measured import FROM_REST, ROUNDABOUT, MeasuredPool
 from sumo_env.traffic.risk import RiskRates
@@ -75,12 +74,10 @@ class Roundabout(Task):
     def road(self, config: Config) -> Road:
         return roundabout()
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         return make_on_lane(road, EGO, ("ser", "ses", 0), 125.0, 8.0, ego_driver(self), destination="nxs")
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
+    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
         given = incoming(config)
         vehicles: list[VehicleSpec] = []
         for k in range(int(config["vehicles_count"])):
@@ -122,9 +119,7 @@ def incoming(config: Config) -> str | None:
     return None if number is None else DESTINATIONS[number]
 
 
-def _free_place(
-    road: Road, vehicles: list[VehicleSpec], rng: np.random.Generator
-) -> tuple[LaneIndex, float] | None:
+def _free_place(road: Road, vehicles: list[VehicleSpec], rng: Random) -> tuple[LaneIndex, float] | None:
     """A place at least `MIN_SPACING` from all vehicles; None where 100 tries found none."""
     for _ in range(100):
         start, end, lanes = EXTRA_ROADS[int(rng.integers(len(EXTRA_ROADS)))]

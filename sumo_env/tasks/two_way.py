@@ -9,7 +9,8 @@ import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import Road, two_way
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane
+from sumo_env.streams import Random
+from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, make_on_lane
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -52,12 +53,10 @@ class TwoWay(Task):
     def road(self, config: Config) -> Road:
         return two_way(road_length=float(config["road_length"]))
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         return make_on_lane(road, EGO, OWN, 30.0, 30.0, ego_driver(self))
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
+    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
         length = float(config["road_length"])
         # highway-env: x = 70 + 40 i, and 300, 200 m from the far end. More vehicles move closer together so
         # that all of them are on the road and ahead of the ego.
@@ -84,9 +83,7 @@ class TwoWay(Task):
         }
 
 
-def column(
-    rng: np.random.Generator, count: int, start: float, spacing: float, available: float
-) -> np.ndarray:
+def column(rng: Random, count: int, start: float, spacing: float, available: float) -> np.ndarray:
     """Places of a column of vehicles [m]: equal spacing with jitter, redrawn until no two cars overlap."""
     step = min(abs(spacing), available / max(count - 1, 1))
     direction = 1.0 if spacing > 0 else -1.0

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, u_turn
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.streams import Random
+from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration, RiskRanges
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -64,12 +63,10 @@ class UTurn(Task):
     def road(self, config: Config) -> Road:
         return u_turn()
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+    def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         return make_on_lane(road, EGO, ("a", "b", 0), 0.0, 16.0, ego_driver(self), destination="d")
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
+    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
         count = int(config["vehicles_count"])
         if count > len(SLOTS):
             raise ConfigError(f"'vehicles_count' of the u-turn is at most {len(SLOTS)}, not {count}")

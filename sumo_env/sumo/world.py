@@ -137,9 +137,8 @@ class SumoSimulator:
         self._prepare(scenario)
         settings = self._settings(scenario)
         if leaves_traces(scenario) or written(self._options):
-            options = {**settings.options, "seed": str(scenario.seed)}
-            if self._folders is not None:
-                options |= prefix(self._folders.new())
+            where = prefix(self._folders.new()) if self._folders is not None else {}
+            options = {**settings.options, "seed": str(scenario.seed), **where}
             self._session.load(replace(settings, options=options))
         elif not self._session.clear(settings):
             self._session.load(settings)

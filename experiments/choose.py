@@ -26,6 +26,7 @@ from experiments.analysis.gates import gates
 from experiments.study.design.arms import ARMS, gate_traffics
 from experiments.study.design.cell import setting_of_agent
 from experiments.study.results.loaded import SETTING, load
+from experiments.study.results.store import Store
 from experiments.support.arguments import command
 from experiments.support.errors import UserError
 from experiments.support.files import write_file
@@ -58,6 +59,9 @@ def drivers(candidate: Path) -> pd.DataFrame:
     """
     found = []
     for folder in sorted(path for path in candidate.iterdir() if path.is_dir()):
+        if not Store(folder).finished():
+            print(f"{folder} has no agent yet, and does not count")
+            continue
         results = load(folder)
         if missing := sorted(
             name for name in results.expected if name not in results.cells and setting_of_agent(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections import Counter, deque
@@ -79,8 +80,8 @@ class ProgressDisplay(Observer):
             self._seen.append((now, done))
             while now - self._seen[0][0] > WINDOW:
                 self._seen.popleft()
-        if self._over():
-            print(self._line(), end="", flush=True)
+        if self._over():  # a line that the terminal breaks in two could not be begun again
+            print(self._line()[: shutil.get_terminal_size().columns - 1], end="", flush=True)
         elif now - self._shown >= EVERY:
             self._shown = now
             print(self._line(), flush=True)

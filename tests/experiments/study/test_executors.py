@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import socket
 
 import pytest
 
@@ -66,13 +67,17 @@ def test_ray_joins_the_cluster_of_its_address_or_none(tmp_path, ray, monkeypatch
         raise ConnectionError("nobody is there\nand more")
 
     monkeypatch.setattr(ray, "init", init)
-    monkeypatch.setenv("RAY_ADDRESS", "somewhere:6379")
-    with pytest.raises(UserError, match="RAY_ADDRESS=somewhere:6379"):
-        open_executor("ray", 2, tmp_path, 25, 3)
+    with socket.create_server(("127.0.0.1", 0)) as there:
+        port = there.getsockname()[1]
+        monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{port}")
+        with pytest.raises(UserError, match=rf"RAY_ADDRESS=127.0.0.1:{port} .*\(nobody is there\)"):
+            open_executor("ray", 2, tmp_path, 25, 3)
+    with pytest.raises(UserError, match=r"cannot be joined .*refused.*unset RAY_ADDRESS"):
+        open_executor("ray", 2, tmp_path, 25, 3)  # at once, Ray is not asked
     monkeypatch.delenv("RAY_ADDRESS")
     with pytest.raises(ConnectionError):
         open_executor("ray", 2, tmp_path, 25, 3)
-    assert asked == ["somewhere:6379", "local"]
+    assert asked == [f"127.0.0.1:{port}", "local"]
 
 
 def test_ray_computes_and_retries_on_a_cluster_of_its_own(tmp_path, ray):

@@ -225,3 +225,12 @@ def test_neither_other_runs_nor_failures_nor_what_was_there_speed_it_up(told) ->
     assert told.at(102, a=0.9) == 10 / 60
     told.tell("a", "failed")
     assert told.at(120) is None
+
+
+def test_on_a_narrow_terminal_the_line_stays_one(told, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("COLUMNS", "30")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    told.tell("a", "running")
+    told.display.tick()
+    *_, line = capsys.readouterr().out.split("\r\x1b[K")
+    assert line == "1/3 cells, 33%, 1 running, 1 waiting"[:29]

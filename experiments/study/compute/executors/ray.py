@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from functools import partial
@@ -17,6 +18,7 @@ import ray
 from experiments.support import VARIABLES
 from experiments.support.errors import UserError
 
+PATIENCE = 10.0  # [s] for an answer of a cluster
 ROOT = Path(__file__).resolve().parents[4]
 
 
@@ -38,6 +40,7 @@ class RayExecutor(Executor):
         }
         if address := os.environ.get("RAY_ADDRESS"):
             try:
+                _ask(address)
                 ray.init(address=address, **common)
             except Exception as error:
                 why = str(error).partition("\n")[0]
@@ -67,6 +70,13 @@ class RayExecutor(Executor):
         for reference in list(self._references) if cancel_futures else ():
             ray.cancel(reference, force=True)
         ray.shutdown()
+
+
+def _ask(address: str) -> None:
+    """Raise OSError where nobody listens at HOST:PORT, after which Ray itself looks for some minutes."""
+    host, _, port = address.rpartition("/")[2].rpartition(":")
+    if port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), PATIENCE).close()
 
 
 def _call(folder: str, function: Callable[[], Any]) -> Any:

@@ -43,6 +43,7 @@ from experiments.reporting.takeover import danger_figure
 from experiments.study.compute.takeover import PAIR
 from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID
+from experiments.validation.figure import validation_figure
 from sumo_env.tasks import TASKS
 
 TEMPLATES = ROOT / "docs" / "templates"
@@ -124,6 +125,16 @@ def speed_figure() -> str:
     """Crashes against speed of everybody in each task's lightest traffic."""
     shown = chosen(episodes(), level=1, arm=[*ARMS, *BESIDE])
     return alone(crashes_against_speed(drivers(shown), "study"))
+
+
+def checks() -> pd.DataFrame:
+    """The checks of SUMO against highway-env one by one, of all scenarios or of the first ones."""
+    return pd.read_csv(ROOT / "results" / "validation.csv")
+
+
+def checks_figure() -> str:
+    """SUMO against highway-env in each check, with the margins."""
+    return alone(validation_figure(checks()))
 
 
 def settings_figure() -> str:
@@ -228,7 +239,7 @@ def _markdown(lines: list[dict[str, str]]) -> str:
 
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(by_task.difference, entries, events_per_hour, failing, other_learners, readme_agents, row),
+    *(by_task.difference, checks, entries, events_per_hour, failing, other_learners, readme_agents, row),
     *(share, study, survivors, taken_over, trained, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
@@ -238,6 +249,7 @@ FIGURES = {
     IMAGES / "takeover.svg": lambda: alone(danger_figure(moments())),
     IMAGES / "entries.svg": entries_figure,
     IMAGES / "settings.svg": settings_figure,
+    IMAGES / "validation.svg": checks_figure,
     IMAGES / "road-units.svg": road_units_figure,
     IMAGES / "rare.svg": rare_curves,
 }

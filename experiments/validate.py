@@ -40,6 +40,7 @@ from experiments.validation.episodes import AGENTS, CORE, Engine
 
 QUICK_SCENARIOS = 20
 STYLE = Path(__file__).parent / "templates" / "report.css"
+JUDGED = Path(__file__).parents[1] / "results" / "validation.csv"  # each check with a verdict
 COUNTS, OUTSIDE = "Checks of each task", "Estimates outside of their margins"
 WHERE = ["task", "traffic", "level", "name", "ego", "unit", "verdict", "sumo", "reference", "difference"]
 WHERE += ["low", "high", "margin", "n", "note"]
@@ -63,7 +64,8 @@ class Options:
     workers: int = 2
     """Number of processes."""
     update: bool = False
-    """Store the verdict on these tasks in the package (experiments/validation/verdict.json), to be committed."""
+    """Store the verdict on these tasks in the package (experiments/validation/verdict.json), and each check in
+    results/validation.csv, to be committed."""
 
 
 def engines(options: Options) -> list[Engine]:
@@ -108,6 +110,8 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     write_file(options.out / "validation.html", page(record).encode())
     if options.update:
         write_json(STORED, {**read_json(STORED), **verdict})
+        judged = pd.DataFrame([check for check in found if check["verdict"]])
+        write_file(JUDGED, judged.to_csv(index=False, float_format="%.6g").encode())
     return record
 
 

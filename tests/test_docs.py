@@ -312,6 +312,9 @@ def test_the_checks_of_the_validation_are_counted() -> None:
     outside = [item["verdict"] for own in studied for item in own["outside"]]
     assert found["outside"] == len(outside) == found["all"] - found["equivalent"] - found["within"]
     assert found["missed"] == outside.count("missed")
+    one_by_one = pages.checks()
+    assert len(one_by_one) == found["all"]
+    assert (one_by_one["metric"] == "order").sum() == found["orders"]
 
 
 def episodes_of(setting: str, arm: str, traffic: str) -> list[dict[str, Any]]:

@@ -39,9 +39,12 @@ def test_an_update_stores_the_driven_tasks_and_keeps_the_others(
     before = json.loads(stored.read_text())
     for module in (experiments.validate, verdict):
         monkeypatch.setattr(module, "STORED", stored)
+    monkeypatch.setattr(experiments.validate, "JUDGED", tmp_path / "validation.csv")
     driven = pd.concat(episodes(name, level=level) for name in (SUMO, REFERENCE) for level in (1, 2, 3, 4))
     monkeypatch.setattr(experiments.validation.episodes, "run", lambda *_: driven)
     record = validate(Options(tmp_path, tasks=("u-turn",), update=True))
+    judged = pd.read_csv(tmp_path / "validation.csv")
+    assert len(judged) == sum(record["tasks"]["u-turn"]["counts"].values())
     assert json.loads(stored.read_text()) == {**before, "u-turn": record["tasks"]["u-turn"]} != before
     key = {"task": "u-turn", "dynamics": dynamics("sumo", "u-turn")}
     assert verdict.verdicts([{"key": key, "versions": verdict.versions()}]) == record["tasks"]

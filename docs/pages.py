@@ -31,7 +31,6 @@ from experiments.analysis import takeover
 from experiments.analysis.by_task import SURROGATES
 from experiments.analysis.by_task import by_task as effects_by_task
 from experiments.analysis.drivers import drivers
-from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL, card_figure
@@ -42,7 +41,7 @@ from experiments.reporting.tables import chosen, effect, interval, plain, points
 from experiments.reporting.takeover import danger_figure
 from experiments.study.compute.takeover import PAIR
 from experiments.study.design.arms import ARMS
-from experiments.study.design.sheet import GRID
+from experiments.study.design.sheet import GRID, sheet
 from experiments.validation.figure import validation_figure
 from sumo_env.tasks import TASKS
 
@@ -199,7 +198,7 @@ def survivors(task: str, level: str) -> tuple[int, int]:
 
 
 SHARES: dict[str, Callable[[pd.DataFrame], pd.Series]] = {
-    "enters": lambda rows: rows["distance"] >= CROSSINGS["roundabout"],
+    "enters": lambda rows: rows["distance"] >= sheet("roundabout").crossing,
     "overtakes at once": lambda rows: rows["actions"].str[:2].str.contains("0"),  # LANE_LEFT, within 2 s
     "hits an oncoming car": lambda rows: rows["crash_type"] == "frontal",
 }

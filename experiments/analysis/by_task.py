@@ -11,10 +11,10 @@ from collections.abc import Iterable, Mapping
 import pandas as pd
 
 from experiments.analysis.effects import COMPARISON, ESTIMATE, MEANS, contrasts, means
-from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Outcome, Plan
 from experiments.analysis.scores import arms_of, per_metre
 from experiments.study.design.arms import ARMS
+from experiments.study.design.sheet import sheet
 from experiments.study.results.loaded import AGENT
 
 HARD = 10.0  # closing speed from which a crash is hard [m/s]
@@ -28,7 +28,9 @@ def _hard(episodes: pd.DataFrame) -> pd.Series:
 
 def _entered(episodes: pd.DataFrame) -> pd.Series:
     """Whether the ego gets into the roundabout or intersection; NaN in tasks without one."""
-    way = episodes["task"].map(dict(CROSSINGS)).astype(float)
+    way = (
+        episodes["task"].map({task: sheet(task).crossing for task in episodes["task"].unique()}).astype(float)
+    )
     return (episodes["distance"] >= way).astype(float).where(way.notna())
 
 

@@ -22,7 +22,7 @@ from experiments.analysis.estimate import DEGENERATE, OK, Estimate, combine, equ
 from experiments.analysis.plan import ALPHA, Learner, Plan
 from experiments.analysis.scores import in_order
 from experiments.study.design.arms import ARMS, gate_traffics
-from experiments.study.design.sheet import GRID, PerTask, task_of
+from experiments.study.design.sheet import GRID, sheet, task_of
 from experiments.study.results.loaded import AGENT, SETTING, table_of
 
 Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before an agent counts as diverged
@@ -34,8 +34,6 @@ CONSTANT = 0.98  # share of the steps with the most common action from which a p
 TIED = 0.98  # share of the scenarios with the return of one constant policy from which an agent is tied
 ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does
 CONSTANT_POLICIES = ("idle", "random", "faster", "slower")  # what learning has to be worth more than
-# Way [m] from the start to just inside the crossing that a task is about.
-CROSSINGS = PerTask(lambda own: own.crossing)
 
 GATES: dict[str, str] = {
     "q_bounded": f"Q-values stay below {Q_SLACK} x max |r| / (1 - gamma) on the probe states",
@@ -56,7 +54,7 @@ THRESHOLDS: dict[str, Any] = {  # what decides in them, for a plan's digest
     "goals_inside": CLIPPED,
     "values_true": DISTANCE,
     "not_constant": [CONSTANT, TIED],
-    "crosses": {"entering": ENTERING, "way": {task: CROSSINGS.get(task) for task in GRID}},
+    "crosses": {"entering": ENTERING, "way": {task: sheet(task).crossing for task in GRID}},
     "beats_constant": 2,
     "competent": COMPETENT,
 }
@@ -109,9 +107,9 @@ def _crosses(task: str, own: pd.DataFrame, references: Iterable[pd.DataFrame]) -
     """Waiting is a failure only where something that crosses is worth more."""
 
     def enters(episodes: pd.DataFrame) -> bool:
-        return bool((episodes["distance"] >= CROSSINGS[task]).mean() >= ENTERING)
+        return bool((episodes["distance"] >= way).mean() >= ENTERING)
 
-    if CROSSINGS[task] is None or enters(own):
+    if (way := sheet(task).crossing) is None or enters(own):
         return True
     crossing = [float(rows["return"].mean()) for rows in references if enters(rows)]
     return float(own["return"].mean()) > max(crossing) if crossing else None

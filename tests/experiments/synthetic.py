@@ -133,7 +133,7 @@ def write(
             levels=tuple(numbers),
             episodes=tests,
             gate_episodes=100,
-            learners={task_of(task): {"updates": updates, "gamma": 0.95}},
+            learners=lambda _: {"updates": updates, "gamma": 0.95},
             arms=(*ARMS, *further),
             **{"preset": "quick", "about": "", "seeds": 3, **asked},
         ).cells()

@@ -46,7 +46,7 @@ CELLS: list[tuple[dict[str, Any], str]] = [
     ({"learner": "sb3-pp"}, "did you mean 'sb3-ppo'"),
     ({"learner": "sb3-ppo", "settings": ("gama=0.9",)}, "'gama' of the learner sb3-ppo"),
     ({"learner": "sb3-ppo", "network": "dueling"}, "'network' of the learner sb3-ppo"),
-    ({"learners": {"highway": {"wam_up": 5}}}, "did you mean 'warm_up'"),
+    ({"learners": lambda _: {"wam_up": 5}}, "did you mean 'warm_up'"),
     ({"settings": ("gamma",)}, "--settings takes KEY=VALUE"),
     ({"first_scenario": -1}, "the number of a scenario is from 0"),
 ]

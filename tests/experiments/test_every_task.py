@@ -6,6 +6,7 @@ import json
 import pickle
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from experiments import (
 from experiments.backends import has
 from experiments.study.design.levels import tasks_known
 from experiments.study.design.presets import of_preset, tuned
-from experiments.study.design.sheet import SHEETS, PerTask, own_task, task_of
+from experiments.study.design.sheet import SHEETS, own_task, task_of
 from experiments.study.results.store import Store
 from experiments.support.arguments import parsed
 from experiments.support.errors import UserError
@@ -79,7 +80,7 @@ def small(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def every_command(task: str, home: Path) -> None:
     trained = home / "trained"
-    learners = PerTask(lambda own: tuned(own, 20, warm_up=20))
+    learners = partial(tuned, updates=20, warm_up=20)
     few: dict[str, Any] = {"tasks": (task,), "levels": (1,), "seeds": 1, "episodes": 1, "learners": learners}
     options = of_preset(train.Options, "smoke", **few, arms=("treatment",), out=trained)
     assert train.train(options, []) == 0

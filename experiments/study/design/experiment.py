@@ -25,7 +25,7 @@ from experiments.study.design.levels import (
     level_names,
     with_features,
 )
-from experiments.study.design.sheet import task_of
+from experiments.study.design.sheet import Sheet, sheet, task_of
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, traffic_named, unseen_traffics
 from experiments.study.design.training_rules import RULES, TrainingRules
 from experiments.support.arguments import Flag, argument
@@ -48,7 +48,7 @@ class Experiment:
     """All that an experiment consists of, and the options of a sweep: a preset (`presets`), and what is changed of it.
     The text below a field is its help.
 
-    learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `TrainingRules`, before
+    learners: by sheet what differs from the defaults of `agents.dqn.DQNConfig` and of `TrainingRules`, before
     updates, network, settings and crash_reward, which are the same for all tasks. gate_episodes: episodes in each
     traffic for the gates. further_episodes: of a further test in each traffic, at most. lightest: further traffics, for
     the lightest level alone (of SUMO's drivers on SUMO). levels_of: by task the levels, where none are
@@ -58,7 +58,7 @@ class Experiment:
     preset: Annotated[str, argument("NAME")]
     """Size: smoke (a minute), quick (10 minutes), study, paper (hours). All defaults below are this one's."""
     about: Hidden[str]
-    learners: Hidden[Mapping[str, Mapping[str, Any]]]
+    learners: Hidden[Callable[[Sheet], Mapping[str, Any]]]
     backend: Annotated[str, argument("NAME")] = "sumo"
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     tasks: StudyTasks = ()
@@ -254,7 +254,7 @@ class Experiment:
         from agents.learners import learner
         from agents.models import network_class
 
-        said = {**self.learners[task]}
+        said = {**self.learners(sheet(task))}
         ruled = {name: said.pop(name) for name in RULES if name in said}
         asked = {"updates": self.updates, "network": self.network}
         files = {}

@@ -10,7 +10,7 @@ from experiments.backends import MakeEnv, make_env
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Dynamics, Experiment
 from experiments.study.design.fingerprint import dynamics
-from experiments.study.design.sheet import GRID, PerTask, Sheet
+from experiments.study.design.sheet import GRID, Sheet
 from experiments.study.design.traffic import UNSEEN
 from experiments.support.errors import UserError, check_known
 from sumo_env.config import MEASURED
@@ -65,7 +65,7 @@ PRESETS = {
             seeds=1,
             episodes=4,
             gate_episodes=4,
-            learners=PerTask(lambda own: tuned(own, 400, warm_up=200)),
+            learners=lambda own: tuned(own, 400, warm_up=200),
         ),
         Experiment(
             preset="quick",
@@ -74,7 +74,7 @@ PRESETS = {
             seeds=3,
             episodes=50,
             gate_episodes=100,
-            learners=PerTask(lambda own: tuned(own, own.quick_updates)),
+            learners=lambda own: tuned(own, own.quick_updates),
         ),
         Experiment(
             preset="study",
@@ -83,7 +83,7 @@ PRESETS = {
             seeds=5,
             episodes=400,
             gate_episodes=100,
-            learners=PerTask(lambda own: tuned(own, own.study_steps)),
+            learners=lambda own: tuned(own, own.study_steps),
             first_seed=800,
             first_scenario=8000,
             test_on=("replica",),
@@ -97,7 +97,7 @@ PRESETS = {
             seeds=10,
             episodes=100,
             gate_episodes=100,
-            learners=PerTask(lambda own: {"updates": PAPER_EPISODES * own.episode_length, **PAPER}),
+            learners=lambda own: {"updates": PAPER_EPISODES * own.episode_length, **PAPER},
         ),
     )
 }

@@ -7,16 +7,14 @@ configuration.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import sumo_env
 from agents.plugins import load_object, sha256, split
 from experiments.support.errors import UserError, in_words
 from sumo_env.tasks import TASKS, Task
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -139,22 +137,6 @@ def sheet(task: str) -> Sheet:
             f"be studied: add its sheet there (there are {', '.join(SHEETS)})"
         )
     return SHEETS[task]
-
-
-class PerTask(Mapping[str, T]):
-    """What follows from the sheet of each task, also of one that is added later."""
-
-    def __init__(self, make: Callable[[Sheet], T]) -> None:
-        self._make = make
-
-    def __getitem__(self, task: str) -> T:
-        return self._make(sheet(task))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter((*SHEETS, *VARIANTS))
-
-    def __len__(self) -> int:
-        return len(SHEETS) + len(VARIANTS)
 
 
 class OwnTask(str):

@@ -12,11 +12,10 @@ import pytest
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.by_task import COLUMNS, SURROGATES, by_task
 from experiments.analysis.effects import ESTIMATE, MEANS, contrasts, means
-from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import DEFAULT
 from experiments.analysis.scores import arms_of, with_outcomes
 from experiments.study.design import attainable
-from experiments.study.design.sheet import GRID
+from experiments.study.design.sheet import GRID, SHEETS
 from experiments.study.results.loaded import Results, load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
@@ -51,9 +50,10 @@ def table(episodes: pd.DataFrame) -> pd.DataFrame:
 
 def plain_means(rows: pd.DataFrame) -> pd.Series:
     """Of one arm in one traffic, by outcome: over episodes of an agent, agents, levels of a task, tasks."""
+    crossing = rows["task"].map({task: own.crossing for task, own in SHEETS.items()}).astype(float)
     scores = rows.assign(
         hard_crash=(rows["crashed"] == 1) & (rows["crash_closing_speed"] >= 10),
-        entered=rows["distance"] >= rows["task"].map(dict(CROSSINGS)).astype(float),
+        entered=rows["distance"] >= crossing,
     )
     agents = scores.groupby(["task", "level", "seed"])
     value = agents.mean(numeric_only=True)

@@ -10,8 +10,9 @@ import pytest
 
 from experiments.analysis.claims import claims
 from experiments.analysis.effects import slopes
-from experiments.analysis.gates import CROSSINGS, gates
+from experiments.analysis.gates import gates
 from experiments.analysis.scores import Arms, Setting
+from experiments.study.design.sheet import SHEETS
 from sumo_env.tasks import TASKS
 from tests.experiments.analysis.made_up import agents, effects, find
 from tests.tasks import PUBLISHED
@@ -83,9 +84,9 @@ def test_an_agent_has_to_be_two_standard_errors_above_the_best_constant_policy(a
     assert found["beats_constant"] is passed
 
 
-@pytest.mark.parametrize("task", [task for task, way in CROSSINGS.items() if way])
+@pytest.mark.parametrize("task", [task for task, own in SHEETS.items() if own.crossing])
 def test_entering_in_half_of_the_scenarios_is_enough(task: str) -> None:
-    way = np.where(np.arange(N) < N // 2, CROSSINGS[task] + 1, CROSSINGS[task] - 1)
+    way = np.where(np.arange(N) < N // 2, SHEETS[task].crossing + 1, SHEETS[task].crossing - 1)
     agent = episodes("agent", 9 + LUCK).assign(distance=way)
     references = {
         "slower": episodes("slower", 5 + LUCK, distance=0.0),

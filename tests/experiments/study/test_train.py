@@ -32,7 +32,7 @@ def cell(arm: str, **profile: object) -> Cell:
         episodes=3,
         gate_episodes=3,
         arms=(arm,),
-        learners={"u-turn": {**PROFILE, **profile}},
+        learners=lambda _: {**PROFILE, **profile},
         first_seed=2,
         first_scenario=50,
     )

@@ -58,7 +58,7 @@ LONG = {**DQN, "gamma": 0.95, "learning_rate": lambda left: 5e-4 * left}
 SCRIPT = {**LONG, "gamma": 0.9}  # README's
 ATTENTION = {**LONG, "policy_kwargs": {"features_extractor_class": Attention, "net_arch": [192, 128]}}
 AHEAD = {**ATTENTION, "n_steps": 3}
-SETTINGS = {  # by TASK/RISK
+SETTINGS: dict[str, tuple[dict[str, Any], int]] = {  # by TASK/RISK
     **dict.fromkeys(("two-way-brakes/0", "two-way-brakes/1"), (SCRIPT, 20_000)),
     "highway-fast/0": (LONG, 40_000),
     "highway-fast/1": ({**AHEAD, "gamma": 0.9}, 60_000),
@@ -106,7 +106,7 @@ def row(env: gym.Env[Any, Any], task: str, risk: int, driver: str) -> dict[str, 
     set_num_threads(1)
     began = time.process_time()
     settings, steps = SETTINGS.get(f"{task}/{risk}", (DQN, STEPS))
-    model = Learner("MlpPolicy", env, seed=int(driver), **settings).learn(steps)  # type: ignore[arg-type]
+    model = Learner("MlpPolicy", env, seed=int(driver), **settings).learn(steps)
     seconds = time.process_time() - began
     return {"seconds": seconds, **drive(env, lambda seen: model.predict(seen, deterministic=True)[0])}
 

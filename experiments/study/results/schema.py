@@ -71,7 +71,7 @@ SCHEMA = schema_of({"cell": "str", "purpose": "str", **COLUMNS}, OF_CRASH)
 
 
 class OtherVersion(ValueError):
-    """A file that is whole, and that this version does not read."""
+    """A file that is whole, and that this version, or without a task of the user's own, does not read."""
 
 
 def check_record(name: str, record: Any) -> None:
@@ -82,7 +82,7 @@ def check_record(name: str, record: Any) -> None:
             "commits that read published ones"
         )
     if (task := record["key"]["task"]) not in tasks_known():
-        raise ValueError(f"its task {task!r} is not here: name its file, --tasks FILE:TASK")
+        raise OtherVersion(f"is of the task {task!r}, which is not here: name its file, --tasks FILE:TASK")
     if (own := cell_name(record["key"], record["versions"])) != name:
         raise ValueError(f"its content is that of {own}")
 

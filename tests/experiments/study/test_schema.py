@@ -49,7 +49,7 @@ def rewritten(
 
 
 RECORDS: list[tuple[Callable[[dict[str, Any]], object], str]] = [
-    (lambda r: r["key"].update(task="rush"), "its task 'rush'"),
+    (lambda r: r["key"].update(task="rush"), "is of the task 'rush'"),
     (lambda r: r["key"].pop("eval"), "eval"),
     (lambda r: r.update(schema=99), "was written by version 99"),
     (lambda r: r["files"].pop("gates.parquet"), "without a record"),

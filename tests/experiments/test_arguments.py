@@ -95,6 +95,7 @@ ARGUMENTS = {
         ),
         max_size=2,
     ).map(tuple),
+    "features": st.lists(some(["x", "tcpa", "dcpa", "tcba"]), max_size=2).map(tuple),
     "shard": some(["1/1", "2/3", "3/2", "0/1", "1/0", "²/³", "1/2/3"]),
 }
 

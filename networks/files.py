@@ -17,6 +17,7 @@ from functools import lru_cache
 from itertools import count, pairwise, product
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 from xml.etree import ElementTree
 
 from sumo_env.networks.lanes import Lane, Point, PolyLane
@@ -56,7 +57,7 @@ def network(net_file: str | Path) -> Network:
     if not path.is_file():
         raise ValueError(f"there is no SUMO network {path}")
     try:
-        return _read(path, path.stat().st_mtime_ns)
+        return _known(path, path.stat().st_mtime_ns)
     except Exception as error:  # of the XML parser, of sumolib, or of lanes that do not fit each other
         if str(path) in str(error):
             raise
@@ -116,9 +117,19 @@ def _onward(network: Network, index: LaneIndex) -> set[LaneIndex]:
     return found - {index}
 
 
-@lru_cache(maxsize=16)
-def _read(path: Path, changed: int) -> Network:
-    """The network of a file that was changed last at this time."""
+_in_use: WeakValueDictionary[tuple[Path, int], Network] = WeakValueDictionary()
+
+
+@lru_cache(maxsize=4)
+def _known(path: Path, changed: int) -> Network:
+    """The network of a file that was changed last at a time, which is read unless somebody has it."""
+    found = _in_use.get((path, changed))
+    if found is None:
+        found = _in_use[path, changed] = _read(path)
+    return found
+
+
+def _read(path: Path) -> Network:
     net, left_hand = read_net(path), _is_left_hand(path)
     sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     ordinary = [edge for edge in net.getEdges(withInternal=False) if not edge.isSpecial()]

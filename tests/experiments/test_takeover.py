@@ -89,7 +89,8 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(
 
 def test_agents_of_a_directory_are_paired_by_training_seed(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "cells").mkdir()
-    key = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
+    key: dict[str, Any] = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
+    key["env_config"] = {"observation": {"type": "Kinematics"}}
     records = {
         f"{arm}-s{seed}": {"key": {**key, "seed": seed}, "timing": {"finished": str(seed)}}
         for arm in ("control", "treatment")
@@ -100,5 +101,11 @@ def test_agents_of_a_directory_are_paired_by_training_seed(tmp_path: Path, monke
     monkeypatch.setattr("experiments.study.compute.entrants.Store", lambda _: store)
     found = several(f"idle,{tmp_path}/control", "u-turn", "3")
     assert [one.name for one in found] == ["idle", "control-s9", "control-s11"]
+    assert takeover.observation_of(found) == key["env_config"]
+    records["treatment-s9"]["key"]["env_config"] = {
+        "observation": {"type": "Kinematics", "vehicles_count": 3}
+    }
+    with pytest.raises(UserError, match="different observations"):
+        takeover.observation_of([*found, *several(f"{tmp_path}/treatment", "u-turn", "3")])
     with pytest.raises(UserError, match="no agent of u-turn 3"):
         several(f"{tmp_path}/mixed", "u-turn", "3")

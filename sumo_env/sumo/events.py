@@ -73,6 +73,11 @@ class Moment(NamedTuple):
     change_lane: Callable[..., bool]
 
 
+def way_to_stop(of: Any, name: str, speed: float) -> float:
+    """Way [m] in which a vehicle stops from a speed with its type's `decel`, which it begins after REACTION."""
+    return speed * (speed / (2.0 * float(of.getDecel(name))) + REACTION)
+
+
 def stops_ahead(at: Moment) -> bool:
     """Whether its vehicle has to brake now for the next traffic light, or where its lane does not lead on.
 
@@ -81,7 +86,7 @@ def stops_ahead(at: Moment) -> bool:
     """
     name, of = at.vehicle.name, at.sumo
     speed = of.getSpeed(name) + at.event.accel * at.dt
-    way = speed * (speed / (2.0 * of.getDecel(name)) + REACTION)
+    way = way_to_stop(of, name, speed)
     lane, place = of.getLaneID(name), of.getLanePosition(name)
     ends = (end - place for own, end, _, _, leads, _ in of.getBestLanes(name) if own == lane and not leads)
     lights = (far for _, _, far, state in of.getNextTLS(name) if state in "rRuyY" or far > speed * YELLOW)
@@ -324,12 +329,16 @@ class Events:
     def _leads_off(self, name: str, beside: LaneIndex) -> bool:
         """Whether the lane beside leads along another route than the vehicle's.
 
-        With SUMO's own files that counts where lane changes take their time, which SUMO breaks down over.
+        With SUMO's own files that counts where lane changes take their time, which SUMO breaks down over, and where
+        the vehicle could not stop before the end of that lane, at which SUMO would stop it at once.
         """
         session, there = self._session, self._network.lanes[beside].id
         if self._asks_for_markings:
-            ways = session.lanes_ahead(name) if session.lane_change_duration > 0.0 else []
-            return any(lane == there and not leads for lane, _, leads in ways)
+            of = session.vehicle
+            needed = inf if session.lane_change_duration else way_to_stop(of, name, of.getSpeed(name))
+            place = of.getLanePosition(name)
+            ways = session.lanes_ahead(name)
+            return any(lane == there and not leads and end - place < needed for lane, end, leads in ways)
         way = session.vehicle.getRouteID(name)
         return way in self._network.routes and way != self._network.leading_on(way, there)
 

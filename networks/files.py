@@ -123,8 +123,7 @@ _in_use: WeakValueDictionary[tuple[Path, int], Network] = WeakValueDictionary()
 @lru_cache(maxsize=4)
 def _known(path: Path, changed: int) -> Network:
     """The network of a file that was changed last at a time, which is read unless somebody has it."""
-    found = _in_use.get((path, changed))
-    if found is None:
+    if (found := _in_use.get((path, changed))) is None:
         found = _in_use[path, changed] = _read(path)
     return found
 

@@ -36,7 +36,6 @@ from sumo_env.traffic.scenario import Scenario
 CHANGE_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
 DELAY = 2.0  # [s] that a cut-in waits for a vehicle that stands, or whose edge ends too soon; then it does not come
 PATIENCE = 10.0  # [s] that a vehicle waits for room to come back, before SUMO's lane-change model decides
-REACTION = 1.0  # [s] before it would have to brake with its type's `decel` for a red light, a surge pauses
 YELLOW = 3.0  # [s] that a light is yellow before it is red, as netconvert makes them
 # [s] While a speed is commanded, and after it, SUMO's EIDM may wish to stop at once, from any speed.
 SETTLING = 1.0
@@ -73,11 +72,6 @@ class Moment(NamedTuple):
     change_lane: Callable[..., bool]
 
 
-def way_to_stop(of: Any, name: str, speed: float) -> float:
-    """Way [m] in which a vehicle stops from a speed with its type's `decel`, which it begins after REACTION."""
-    return speed * (speed / (2.0 * float(of.getDecel(name))) + REACTION)
-
-
 def stops_ahead(at: Moment) -> bool:
     """Whether its vehicle has to brake now for the next traffic light, or where its lane does not lead on.
 
@@ -86,7 +80,7 @@ def stops_ahead(at: Moment) -> bool:
     """
     name, of = at.vehicle.name, at.sumo
     speed = of.getSpeed(name) + at.event.accel * at.dt
-    way = way_to_stop(of, name, speed)
+    way = at.vehicle.way_to_stop(speed)
     lane, place = of.getLaneID(name), of.getLanePosition(name)
     ends = (end - place for own, end, _, _, leads, _ in of.getBestLanes(name) if own == lane and not leads)
     lights = (far for _, _, far, state in of.getNextTLS(name) if state in "rRuyY" or far > speed * YELLOW)
@@ -334,9 +328,8 @@ class Events:
         """
         session, there = self._session, self._network.lanes[beside].id
         if self._asks_for_markings:
-            of = session.vehicle
-            needed = inf if session.lane_change_duration else way_to_stop(of, name, of.getSpeed(name))
-            place = of.getLanePosition(name)
+            speed, place = session.vehicle.getSpeed(name), session.vehicle.getLanePosition(name)
+            needed = inf if session.lane_change_duration else self._road[name].way_to_stop(speed)
             ways = session.lanes_ahead(name)
             return any(lane == there and not leads and end - place < needed for lane, end, leads in ways)
         way = session.vehicle.getRouteID(name)

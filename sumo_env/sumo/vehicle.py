@@ -28,6 +28,7 @@ OF_SUMO = REGULAR, OWN_LANE_CHANGES  # modes in which SUMO's vehicles begin
 ROUNDING = 1e-6  # [s] SUMO counts in whole milliseconds
 MOVING = 1.0  # [m/s] below it no commanded lane change begins: SUMO would slide the vehicle sideways
 LEAST_SIDEWAYS = 0.01  # [m/s]
+REACTION = 1.0  # [s] before a vehicle brakes for a red light, or the end of a lane
 
 
 def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
@@ -135,6 +136,10 @@ class Vehicle:
         """Whether a lane may be commanded: once lanes are taken from SUMO, it ends the change that it has begun."""
         self._is_changing = self._is_changing and self._session.changes_lane(self.name)
         return self.has_lanes and not self._is_changing
+
+    def way_to_stop(self, speed: float) -> float:
+        """Way [m] in which it stops from a speed with its type's `decel`, which it begins after REACTION."""
+        return speed * (speed / (2.0 * float(self._session.vehicle.getDecel(self.name))) + REACTION)
 
     def changes_by_itself(self) -> bool:
         """Whether a lane change runs that SUMO has begun."""

@@ -21,10 +21,8 @@ from experiments.study.design import attainable
 from experiments.study.design.attainable import CONSTANT, MORE, POLICY
 from experiments.study.results.loaded import SETTING
 
-LEAST, MOST = (
-    COMPETENT["score"],
-    COMPETENT["crashed"],
-)  # of the score, and of the episodes that end in a crash
+LEAST = COMPETENT["score"]
+MOST = COMPETENT["crashed"]  # share of the episodes
 TRAFFIC = "regular"
 FORESEEING = ("planner", "clairvoyant")  # are no rules: their marks are in the score
 WORDS = {"return": "below a rule", "score": f"score below {LEAST:g}", "crashed": f"crashes above {MOST:.0%}"}

@@ -24,6 +24,7 @@ from experiments.reporting.figures import (
 from experiments.reporting.tables import MINUS, chosen, p_value, plain
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, PAIR, WINDOW
 from experiments.study.design.arms import ARMS
+from experiments.study.design.levels import level_names
 from experiments.study.results.part import PartFile
 
 RECORDS = "takeover/*/moments.parquet"  # of experiments/takeover.py, in a study's folder
@@ -35,14 +36,20 @@ SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]
 
 
 def recorded(directory: Path) -> pd.DataFrame | None:
-    """The records of a study's pairs, by the bound of the plan; None where there are none.
+    """The records of a study's pairs in each task's lightest traffic, by the bound of the plan; None without one.
 
     Raises:
         DamagedEpisodes: of a record that is damaged.
     """
     files = sorted(directory.glob(RECORDS))
     found = [PartFile(path, "moments", COLUMNS, {}).read() for path in files]
-    return chosen(pd.concat(found, ignore_index=True), within=BOUNDS[0]) if found else None
+    rows = (
+        chosen(pd.concat(found, ignore_index=True), within=BOUNDS[0])
+        if found
+        else pd.DataFrame(columns=[*COLUMNS])
+    )
+    rows = rows[rows["level"] == rows["task"].map(lambda task: level_names(task)[0])]
+    return rows if len(rows) else None
 
 
 def danger_figure(rows: pd.DataFrame) -> str:

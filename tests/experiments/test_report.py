@@ -334,6 +334,9 @@ def test_skill_and_caution_stand_in_the_report_of_a_study_whose_pairs_were_drive
     rows = rows.reindex(columns=[*takeover.COLUMNS])
     takeover_file = tmp_path / "takeover" / "u-turn" / "moments.parquet"
     PartFile(takeover_file, "moments", takeover.COLUMNS, {}).write(rows)
+    dense = rows.assign(level="12", moment=1.0)  # stands beside, and is not of the answers
+    file = tmp_path / "takeover" / "u-turn-12" / "moments.parquet"
+    PartFile(file, "moments", takeover.COLUMNS, {}).write(dense)
     page = Page(report.write_report(tmp_path).read_text())
     assert "Skill or caution?" in page.text and "treated agents" in page.text
     lines = skill_or_caution(rows)

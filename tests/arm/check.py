@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import copy
-import json
 import platform
 import sys
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -14,8 +12,7 @@ import numpy as np
 from sumo_env import IDS, task_of
 from sumo_env import __main__ as doctor
 from tests.golden import scenes
-
-GOLDEN = Path(scenes.__file__).parent / "scenes"
+from tests.golden.regenerate import read
 
 
 def main() -> int:
@@ -25,7 +22,7 @@ def main() -> int:
         return 1
     for id in IDS:
         task = task_of(id)
-        found = scenes.differences(scenes.table(task), json.loads((GOLDEN / f"{task}.json").read_text()))
+        found = scenes.differences(scenes.table(task), read(task))
         print(
             f"  {'FAIL' if found else 'ok':6}{task}: scenes as the golden ones",
             *found[:5],

@@ -1,7 +1,7 @@
 """Write the golden results anew, then review the difference: see README.md in this folder.
 
-python tests/golden/regenerate.py                     # everything, half a minute
-python tests/golden/regenerate.py outcomes merge      # some parts (scenes, outcomes), some tasks
+python tests/golden/regenerate.py            # of all tasks
+python tests/golden/regenerate.py merge      # of some
 """
 
 from __future__ import annotations
@@ -20,13 +20,10 @@ from experiments.support import limit_threads
 limit_threads()
 
 from sumo_env.tasks import TASKS
-from tests.golden import outcomes, scenes
+from tests.golden import scenes
 
-FOLDER = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent / "scenes"
 WIDTH = 110
-
-
-PARTS = {"scenes": scenes.table, "outcomes": outcomes.table}  # of a task: one file each
 
 
 def pretty(value: Any, indent: int = 0) -> str:
@@ -41,20 +38,18 @@ def pretty(value: Any, indent: int = 0) -> str:
     return "[" + pad + f",{pad}".join(pretty(item, indent + 1) for item in value) + end + "]"
 
 
-def read(name: str) -> Any:
-    """A golden result by the name of its file."""
-    return json.loads((FOLDER / name).read_text())
+def read(task: str) -> Any:
+    """The golden scenes of a task."""
+    return json.loads((FOLDER / f"{task}.json").read_text())
 
 
-def main(names: list[str]) -> None:
-    """Write the files of some parts and some tasks; of all by default."""
-    if unknown := set(names) - {*PARTS, *TASKS}:
-        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join([*PARTS, *TASKS])}")
-    parts, tasks = ([name for name in names if name in known] or known for known in (PARTS, TASKS))
-    for part in parts:
-        for task in tasks:
-            (FOLDER / part / f"{task}.json").write_text(pretty(PARTS[part](task)) + "\n")
-            print(f"{part}/{task}.json", flush=True)
+def main(tasks: list[str]) -> None:
+    """Write the files of some tasks, of all by default."""
+    if unknown := set(tasks) - {*TASKS}:
+        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(TASKS)}")
+    for task in tasks or TASKS:
+        (FOLDER / f"{task}.json").write_text(pretty(scenes.table(task)) + "\n")
+        print(f"{task}.json", flush=True)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ from agents.dqn import DQN, DQNConfig
 from agents.models import unflattened
 from agents.replay_memory import Step, transitions
 from tests.agents.networks import Noisy, Small
-from tests.experiments.fake_env import FakeEnv
 
 INPUTS, ACTIONS = 6, 3
 Medium = partial(Small, hidden=(64, 48), stream=32)
@@ -177,41 +176,6 @@ def test_a_horizon_beyond_which_episodes_go_on_is_refused(length: int, crashes: 
     seen = np.zeros(INPUTS)
     with pytest.raises(ValueError, match=f"horizon is 6, but after {length} steps"):
         agent.remember([Step(seen, 0, 0.3, seen, crashes and k == length - 1) for k in range(length)])
-
-
-def test_the_first_update_is_that_of_stable_baselines3() -> None:
-    """Before the networks part, double DQN is DQN; and its smooth L1 loss is half of ours where errors are small.
-
-    Adam's step does not depend on the scale of the gradient once its epsilon has the same scale.
-    """
-    stable_baselines3 = pytest.importorskip("stable_baselines3")
-    from stable_baselines3.common.buffers import ReplayBufferSamples
-    from stable_baselines3.common.logger import configure
-
-    agent = make(dataclasses.replace(SMALL, max_grad_norm=1e9), seed=4)
-    fill(agent, 100)
-    spaces = FakeEnv("u-turn", {})
-    spaces.observation_space, spaces.action_space = (
-        gym.spaces.Box(-10, 10, (INPUTS,)),
-        gym.spaces.Discrete(ACTIONS),
-    )
-    settings = {"gamma": SMALL.gamma, "max_grad_norm": 1e9, "device": "cpu"}
-    model = stable_baselines3.DQN("MlpPolicy", spaces, learning_rate=5e-4, **settings)
-    model.set_logger(configure(None, []))
-    for net in (model.q_net, model.q_net_target):
-        net.q_net = copy.deepcopy(agent.policy().network.requires_grad_())
-    model.policy.optimizer = torch.optim.Adam(model.q_net.parameters(), lr=5e-4, eps=0.5e-8)
-    s, action, reward, after, discount, _ = agent.replay.sample(
-        copy.deepcopy(agent._sampling), SMALL.batch_size
-    )
-    ended = (discount == 0.0).float()
-    samples = ReplayBufferSamples(s, action[:, None], after, ended[:, None], reward[:, None], None)
-    model.replay_buffer.sample = lambda *_, **__: samples
-    before = weights(agent.online)
-    model.train(gradient_steps=1, batch_size=SMALL.batch_size)
-    assert agent.update() < 0.5  # within the square part of smooth L1
-    np.testing.assert_allclose(weights(agent.online), weights(model.q_net.q_net), atol=2e-6)
-    assert np.abs(weights(agent.online) - before).max() > 4e-4
 
 
 def test_values_and_policy_of_a_known_decision_process() -> None:

@@ -64,21 +64,6 @@ def test_the_closest_approach_is_the_least_distance_of_the_next_seconds() -> Non
     assert reached > 100
 
 
-@pytest.mark.parametrize(
-    ("state", "tcpa", "dcpa"),
-    [
-        ((0.0, 0.0, 0.0, 0.0), 0.0, 0.0),  # the ego itself
-        ((30.0, 4.0, 0.0, 0.0), 0.0, np.hypot(30.0, 4.0)),  # both at one velocity, or standing
-        ((-20.0, 0.0, -5.0, 0.0), 0.0, 20.0),  # behind and slower
-        ((-20.0, 0.0, 10.0, 0.0), 2.0, 0.0),  # behind and faster
-        ((300.0, 0.0, -20.0, 0.0), HORIZON, 180.0),  # further away than is looked ahead
-        ((40.0, 4.0, -20.0, 0.0), 2.0, 4.0),  # on the lane beside
-    ],
-)
-def test_limits(state: tuple[float, ...], tcpa: float, dcpa: float) -> None:
-    assert approach(*state)[5:] == pytest.approx((tcpa, dcpa), abs=0.06)  # 1 % at 5 m/s
-
-
 # Of the replica and highway-env's classes in all tasks: test_observation.py, and the kernels below.
 PLACES = [*(("sumo", task) for task in OF_HIGHWAY_ENV), ("replica", "exit"), ("highway-env", "u-turn")]
 

@@ -20,4 +20,3 @@ def report(differences: list[str]) -> str:
 def test_first_steps_are_the_golden_ones(task: str) -> None:
     found = scenes.differences(scenes.table(task), read(task))
     assert not found, report(found)
-

@@ -12,12 +12,10 @@ import pytest
 from experiments.backends.highway_env import ScenarioEnv
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
-from tests.sumo_env.parity import ego_state, make, scatter, stock
+from tests.sumo_env.parity import ego_state, make, scatter
 from tests.sumo_env.rollout import drive
 from tests.tasks import OF_HIGHWAY_ENV, every_task, highway_env_task
 
-# Keys of highway-env whose default we have chosen otherwise (docs/environments).
-OWN_CHOICE = {"two-way": {"observation"}, "u-turn": {"observation", "screen_width", "screen_height"}}
 WEIGHTS: dict[str, dict[str, Any]] = {
     "highway": {
         "right_lane_reward": 0.3,
@@ -35,15 +33,6 @@ WEIGHTS: dict[str, dict[str, Any]] = {
 
 
 LADDER = {"action": {"type": "DiscreteMetaAction", "target_speeds": [5, 10, 15, 20, 25]}}
-
-
-@highway_env_task
-def test_defaults_are_those_of_highway_env(task: str) -> None:
-    theirs, own = stock(task).default_config(), TASKS[task].defaults
-    for key in (own.keys() & theirs.keys()) - OWN_CHOICE.get(task, set()) - {"action"}:
-        assert own[key] == theirs[key], key
-    defaults = {"longitudinal": True, "lateral": True}
-    assert {**defaults, **own["action"]} == {**defaults, **theirs["action"]}
 
 
 def assert_same_judgement(env: ScenarioEnv, action: int) -> dict[str, bool]:

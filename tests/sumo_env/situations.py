@@ -7,9 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 from sumo_env.config import resolve
+from sumo_env.networks.roads import LaneIndex
 from sumo_env.tasks import get_task
+from sumo_env.tasks.base import make_on_lane
 from sumo_env.traffic.drivers import Driver
-from sumo_env.traffic.scenario import Scenario
+from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 
 def draw(task: str, seed: int = 0, **config: Any) -> Scenario:
@@ -28,20 +30,21 @@ def alone(scenario: Scenario) -> Scenario:
     return replace(scenario, vehicles=(), spawns=(), events=())
 
 
+def placed(
+    scenario: Scenario, number: int, lane: LaneIndex, s: float, speed: float, **more: Any
+) -> VehicleSpec:
+    """A vehicle of a scenario elsewhere: `s` [m] along a lane, with this speed [m/s]; more: as of `make_on_lane`."""
+    spec = scenario.vehicles[number]
+    return make_on_lane(
+        scenario.road, spec.id, lane, s, speed, spec.driver, destination=spec.destination, **more
+    )
+
+
 def with_leader(distance: float, speed: float) -> Callable[[Scenario], Scenario]:
     """Only one vehicle besides the ego: `distance` [m] ahead of it in its lane (behind it if negative)."""
 
     def change(scenario: Scenario) -> Scenario:
-        ego, other = scenario.ego, scenario.vehicles[0]
-        leader = other._replace(
-            lane=ego.lane,
-            s=ego.s + distance,
-            x=ego.x + distance,
-            y=ego.y,
-            heading=ego.heading,
-            speed=speed,
-            target_speed=speed,
-        )
+        leader = placed(scenario, 0, scenario.ego.lane, scenario.ego.s + distance, speed)
         return replace(scenario, vehicles=(leader,), spawns=(), events=())
 
     return change

@@ -22,7 +22,7 @@ from sumo_env.tasks.highway import Highway
 from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent, free_way
 from sumo_env.traffic.scenario import Scenario
 from tests.processes import python
-from tests.sumo_env.situations import draw, with_leader
+from tests.sumo_env.situations import draw, placed, with_leader
 
 
 @pytest.mark.parametrize("task", ["highway", "two-way"])
@@ -48,16 +48,8 @@ def test_a_brake_event_brakes_and_ends(simulator: SumoSimulator, task: str) -> N
 def test_a_cut_in_takes_any_gap_but_needs_one(simulator: SumoSimulator, ahead: float, happens: bool) -> None:
     # a driver with nobody to the other side would change there: two lanes only
     scenario = draw("highway", initial_lane_id=0, lanes_count=2)
-    x, speed = scenario.ego.x + ahead, 20.0 if happens else 25.0
-    place: dict[str, Any] = {
-        "lane": ("0", "1", 1),
-        "s": x,
-        "x": x,
-        "y": 4.0,
-        "speed": speed,
-        "target_speed": speed,
-    }
-    other = scenario.vehicles[0]._replace(**place, changes_lanes=False)
+    speed = 20.0 if happens else 25.0
+    other = placed(scenario, 0, ("0", "1", 1), scenario.ego.x + ahead, speed, changes_lanes=False)
     event = RiskEvent(0.5, other.id, "cut-in", direction=-1)
     simulator.reset(replace(scenario, vehicles=(other,), events=(event,)))
     steps = [simulator.step({"ego": EgoCommand(25.0, scenario.ego.lane)}) for _ in range(2)]
@@ -67,15 +59,10 @@ def test_a_cut_in_takes_any_gap_but_needs_one(simulator: SumoSimulator, ahead: f
 
 def test_a_cut_in_takes_the_other_lane_where_the_first_has_no_room(simulator: SumoSimulator) -> None:
     scenario = draw("highway", initial_lane_id=0)
-    first, second = scenario.vehicles[:2]
     x = scenario.ego.x + 60.0
-    calm: dict[str, Any] = {"s": x, "x": x, "speed": 20.0, "target_speed": 20.0, "changes_lanes": False}
-    pair = (
-        first._replace(lane=("0", "1", 1), y=4.0, **calm),
-        second._replace(lane=("0", "1", 2), y=8.0, **calm),
-    )
+    pair = tuple(placed(scenario, k, ("0", "1", k + 1), x, 20.0, changes_lanes=False) for k in range(2))
     for direction, others in ((1, pair), (1, pair[:1]), (-1, pair)):
-        event = RiskEvent(0.0, first.id, "cut-in", direction=direction)
+        event = RiskEvent(0.0, pair[0].id, "cut-in", direction=direction)
         simulator.reset(replace(scenario, vehicles=others, events=(event,)))
         scene = simulator.step({"ego": EgoCommand(25.0, scenario.ego.lane)}).scene
         wanted = 8.0 if direction == 1 and len(others) == 1 else 0.0
@@ -96,8 +83,7 @@ def test_a_swerve_into_the_oncoming_lane_ends_in_the_own_lane(simulator: SumoSim
 def test_a_surge_accelerates_where_the_way_is_free(simulator: SumoSimulator, task: str) -> None:
     scenario = replace(draw(task), spawns=(), warm_up=0.0)
     driver = scenario.vehicles[0]._replace(speed=8.0, target_speed=8.0)
-    dx, dy = 15 * np.cos(driver.heading), 15 * np.sin(driver.heading)
-    ahead = driver._replace(id="ahead", s=driver.s + 15, x=driver.x + dx, y=driver.y + dy)
+    ahead = placed(scenario, 0, driver.lane, driver.s + 15, 8.0)._replace(id="ahead")
     gained = []
     for vehicles, way in (((driver,), FREE_WAY), ((driver, ahead), FREE_WAY), ((driver, ahead), 10.0)):
         event = RiskEvent(0.0, driver.id, "surge", accel=4.0, duration=2.0, way=way)
@@ -130,12 +116,11 @@ class Tailgating(EventKind):
 def following() -> Scenario:
     """Two cars, one behind the other, and the ego far behind them."""
     scenario = draw("highway", initial_lane_id=0, duration=12)
-    x, ahead = scenario.ego.x + 300.0, scenario.vehicles[0]
-    calm: dict[str, Any] = {"lane": ("0", "1", 2), "y": 8.0, "speed": 20.0, "changes_lanes": False}
-    pair = [
-        ahead._replace(id=f"v{k}", s=x - 45.0 * k, x=x - 45.0 * k, target_speed=20.0 + k, **calm)
+    x, lane = scenario.ego.x + 300.0, ("0", "1", 2)
+    pair = (
+        placed(scenario, k, lane, x - 45.0 * k, 20.0, target_speed=20.0 + k, changes_lanes=False)
         for k in range(2)
-    ]
+    )
     return replace(scenario, vehicles=tuple(pair))
 
 
@@ -305,10 +290,9 @@ def test_who_swerves_comes_back_where_sumo_s_own_lane_changes_would_refuse(
 ) -> None:
     """Six of six, with a follower 8 m behind in the lane that they leave; the lanes are SUMO's again at the end."""
     scenario = draw("highway", initial_lane_id=0, duration=12)
-    x, (first, *_) = scenario.ego.x + 200.0, scenario.vehicles
-    calm: dict[str, Any] = {"lane": ("0", "1", 1), "y": 4.0, "speed": 20.0, "target_speed": 20.0}
+    x = scenario.ego.x + 200.0
     places = [x + 100.0 * (k // 2) - 13.0 * (k % 2) for k in range(12)]
-    cars = [first._replace(id=f"v{k}", s=place, x=place, **calm) for k, place in enumerate(places)]
+    cars = [placed(scenario, k, ("0", "1", 1), place, 20.0) for k, place in enumerate(places)]
     events = tuple(RiskEvent(0.0, f"v{k}", Swerve(side=side), duration=1.0) for k in range(0, 12, 2))
     simulator.reset(replace(scenario, vehicles=tuple(cars), events=events))
     found = []
@@ -323,9 +307,8 @@ def test_who_swerves_comes_back_where_sumo_s_own_lane_changes_would_refuse(
 
 def test_nobody_swerves_to_where_there_is_no_lane_or_no_room(simulator: SumoSimulator) -> None:
     scenario = draw("highway", initial_lane_id=0, duration=12, lanes_count=2)
-    x, (first, second, *_) = scenario.ego.x + 200.0, scenario.vehicles
-    calm: dict[str, Any] = {"s": x, "x": x, "speed": 20.0, "target_speed": 20.0, "changes_lanes": False}
-    pair = [spec._replace(lane=("0", "1", k), y=4.0 * k, **calm) for k, spec in enumerate((first, second))]
+    x = scenario.ego.x + 200.0
+    pair = [placed(scenario, k, ("0", "1", k), x, 20.0, changes_lanes=False) for k in range(2)]
     for side in (-1, 1):
         events = tuple(RiskEvent(0.0, spec.id, Swerve(side=side), duration=2.0) for spec in pair)
         simulator.reset(replace(scenario, vehicles=tuple(pair), events=events))

@@ -25,7 +25,7 @@ from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario, Spawn
 from tests.sumo_env.rollout import assert_same_bits, drive
-from tests.sumo_env.situations import alone, draw, with_leader
+from tests.sumo_env.situations import alone, draw, placed, with_leader
 from tests.tasks import every_task
 
 Start = Callable[..., DrivingEnv]
@@ -166,11 +166,7 @@ def test_crashed_vehicles_coast_and_stay(start: Start) -> None:
 def test_a_crashed_vehicle_coasts_as_far_in_a_bend(simulator: SumoSimulator) -> None:
     """SUMO's metres there are others than those of the road."""
     scenario = draw("u-turn")
-    index = ("b", "c", 0)
-    bend, spec = scenario.road.lane(index), scenario.vehicles[0]
-    x, y = bend.position(2.0, 0.0)
-    pose: dict[str, Any] = {"lane": index, "s": 2.0, "x": x, "y": y, "heading": bend.heading_at(2.0)}
-    spec = spec._replace(**pose, speed=8.0, target_speed=8.0)
+    bend, spec = scenario.road.lane(("b", "c", 0)), placed(scenario, 0, ("b", "c", 0), 2.0, 8.0)
     scenes = [simulator.reset(replace(scenario, vehicles=(spec,)))]
     simulator._crash(spec.id)
     scenes.append(simulator.step({"ego": EgoCommand(9.0, scenario.ego.lane)}).scene)

@@ -13,6 +13,7 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.traffic.risk import RiskEvent
+from tests.sumo_env import situations
 from tests.sumo_env.rollout import drive
 
 LEFT, IDLE, RIGHT = 0, 1, 2
@@ -52,8 +53,7 @@ def test_a_cut_in_goes_to_no_lane_that_leads_elsewhere_and_makes_nobody_faster(
 ) -> None:
     with closing(DrivingEnv("exit")) as env:
         scenario = placed(env, 0, 402.0, 18.0)
-        there: dict[str, Any] = {"lane": ("1", "2", 5), "s": 20.0, "x": 420.0, "y": 20.0, "speed": 9.0}
-        car = env.scenario.vehicles[0]._replace(**there, target_speed=9.0)
+        car = situations.placed(env.scenario, 0, ("1", "2", 5), 20.0, 9.0)
         event = RiskEvent(0.0, car.id, "cut-in", direction=direction)
         env.reset(seed=0, options={"scenario": replace(scenario, vehicles=(car,), events=(event,))})
         for _ in range(4):

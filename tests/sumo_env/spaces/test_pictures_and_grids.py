@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import gymnasium as gym
@@ -17,7 +19,7 @@ from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.spaces.lidar import Lidar
 from sumo_env.spaces.observation import Kinematics
 from tests.processes import ROOT
-from tests.sumo_env.replica.pairs import EQUAL, SLOW, SLOW_EQUAL, episode
+from tests.sumo_env.replica.pairs import EQUAL, SLOW, SLOW_EQUAL
 from tests.sumo_env.rollout import drive
 
 # -- pictures ------------------------------------------------------------------------------------------------------
@@ -110,41 +112,49 @@ GRIDS: list[dict[str, Any]] = [
 
 
 class All:
-    """Looks at highway-env's environment as all of GRIDS do, at the moment when it looks itself."""
+    """Looks at highway-env's environment in several ways, at the moment when it looks itself."""
 
-    def __init__(self, env: Any) -> None:
-        self.kinds = [observation_factory(env, grid) for grid in GRIDS]
+    def __init__(self, env: Any, kinds: list[dict[str, Any]]) -> None:
+        self.kinds = [observation_factory(env, kind) for kind in kinds]
 
     def observe(self) -> list[np.ndarray]:
         return [kind.observe() for kind in self.kinds]
+
+
+def side_by_side(id: str, kinds: list[dict[str, Any]], seed: int) -> Iterator[tuple[float, Any, Any]]:
+    """What highway-env and the replica show in each of these ways in every step of an episode, after the spaces.
+
+    Before them, by how much they may differ.
+    """
+    theirs: Any = gym.make(gym.spec(id), disable_env_checker=True).unwrapped
+    ours: list[Any] = [gym.make(gym.spec(f"replica/{id}"), config={"observation": kind}) for kind in kinds]
+    theirs.reset(seed=seed)
+    theirs.observation_type = All(theirs, kinds)
+    for kind, env in zip(theirs.observation_type.kinds, ours, strict=True):
+        assert kind.space() == env.observation_space
+    rng, over, equal = np.random.default_rng(seed), False, EQUAL
+    expected, found = theirs.observation_type.observe(), [env.reset(seed=seed)[0] for env in ours]
+    while not over:
+        if min(abs(vehicle.speed) for vehicle in theirs.road.vehicles) < SLOW:
+            equal = SLOW_EQUAL
+        assert [one.dtype for one in expected] == [other.dtype for other in found]
+        yield equal, expected, found
+        action = int(rng.integers(theirs.action_space.n))
+        expected, _, terminated, truncated, _ = theirs.step(action)
+        found, over = [env.step(action)[0] for env in ours], terminated or truncated
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("id", ["highway-fast-v0", "roundabout-v1", "intersection-v2", "u-turn-v1"])
 def test_grids_are_highway_env_s(id: str) -> None:
     """Every layer in every step of an episode, with its space, also in a bend and where cars come and go."""
-    theirs: Any = gym.make(gym.spec(id), disable_env_checker=True).unwrapped
-    ours: list[Any] = [gym.make(gym.spec(f"replica/{id}"), config={"observation": grid}) for grid in GRIDS]
     names = [grid.get("features", ["presence", "vx", "vy", "on_road"]) for grid in GRIDS]
     filled = [np.zeros(len(layers), bool) for layers in names]
-    for seed in range(2):
-        theirs.reset(seed=seed)
-        theirs.observation_type = All(theirs)
-        for kind, env in zip(theirs.observation_type.kinds, ours, strict=True):
-            assert kind.space() == env.observation_space
-        rng, over, equal = np.random.default_rng(seed), False, EQUAL
-        expected, found = theirs.observation_type.observe(), [env.reset(seed=seed)[0] for env in ours]
-        while not over:
-            if min(abs(vehicle.speed) for vehicle in theirs.road.vehicles) < SLOW:
-                equal = SLOW_EQUAL
-            for grid, one, other, layers in zip(GRIDS, expected, found, filled, strict=True):
-                assert one.dtype == other.dtype
-                within = 1.0 if equal == SLOW_EQUAL and grid.get("as_image") else equal
-                np.testing.assert_allclose(other.astype(float), one.astype(float), rtol=1e-5, atol=within)
-                layers |= other.reshape(len(layers), -1).any(axis=1)
-            action = int(rng.integers(theirs.action_space.n))
-            expected, _, terminated, truncated, _ = theirs.step(action)
-            found, over = [env.step(action)[0] for env in ours], terminated or truncated
+    for equal, expected, found in chain(side_by_side(id, GRIDS, 0), side_by_side(id, GRIDS, 1)):
+        for grid, one, other, layers in zip(GRIDS, expected, found, filled, strict=True):
+            within = 1.0 if equal == SLOW_EQUAL and grid.get("as_image") else equal
+            np.testing.assert_allclose(other.astype(float), one.astype(float), rtol=1e-5, atol=within)
+            layers |= other.reshape(len(layers), -1).any(axis=1)
     for layers, name in zip(filled, names, strict=True):
         nowhere = [each in ("cos_d", "sin_d") and "highway" in id for each in name]  # no destinations there
         assert (layers | nowhere).all()
@@ -155,31 +165,28 @@ def test_grids_are_highway_env_s(id: str) -> None:
 LIDAR: dict[str, Any] = {"type": "LidarObservation"}
 RAMP = ROOT / "examples" / "scenarios" / "networks" / "ramp.net.xml"
 GOAL: dict[str, Any] = {"features": ["cos_d", "sin_d"]}
-FINE: dict[str, Any] = {**LIDAR, "cells": 90, "maximum_range": 137.5, "normalize": False}
+LIDARS: list[dict[str, Any]] = [
+    LIDAR,
+    {**LIDAR, "cells": 90, "maximum_range": 137.5, "normalize": False},
+    {**LIDAR, "cells": 3, "maximum_range": 30},
+]
 IDS = ["highway-fast-v0", "two-way-v0", "roundabout-v1", "intersection-v2", "u-turn-v1", "merge-v1"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("beams", [LIDAR, FINE, {**LIDAR, "cells": 3, "maximum_range": 30}], ids=str)
 @pytest.mark.parametrize("id", IDS)
-def test_distances_and_velocities_are_highway_env_s(id: str, beams: dict[str, Any]) -> None:
-    """The space, and every sector in every step of an episode in which something is seen; obstacles included."""
-    names = gym.spec(id), gym.spec(f"replica/{id}")
-    theirs: Any
-    ours: Any
-    theirs, ours = (gym.make(name, config={"observation": beams}, disable_env_checker=True) for name in names)
-    assert theirs.observation_space == ours.observation_space
-    nothing, sees = theirs.observation_space.high[0, 0], list[bool]()
-
-    def act(env: Any, rng: np.random.Generator) -> int:
-        sees.append(bool((env.observation_type.observe()[:, 0] < nothing).any()))
-        return int(rng.integers(env.action_space.n))
-
+def test_distances_and_velocities_are_highway_env_s(id: str) -> None:
+    """The space, and every sector in every step of episodes until each sees something; obstacles included."""
+    nothing = [lidar["maximum_range"] if not lidar.get("normalize", True) else 1.0 for lidar in LIDARS]
+    sees = np.zeros(len(LIDARS), bool)
     for seed in range(5):
-        assert episode(theirs, ours, seed, act) == ""
-        if any(sees):
+        for equal, expected, found in side_by_side(id, LIDARS, seed):
+            for one, other in zip(expected, found, strict=True):
+                np.testing.assert_allclose(other, one, rtol=1e-6, atol=equal)
+            sees |= [bool((one[:, 0] < most).any()) for one, most in zip(expected, nothing, strict=True)]
+        if sees.all():
             break
-    assert any(sees)
+    assert sees.all()
 
 
 def test_on_a_network_of_one_s_own_the_first_ray_points_ahead() -> None:

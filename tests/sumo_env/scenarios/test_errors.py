@@ -28,6 +28,7 @@ MIX = '<vType id="quick"/><vTypeDistribution id="mix" vTypes="quick"/>'
 CHANGED: dict[str, tuple[str, str, str]] = {
     "meso.sumocfg": (CONFIG, "</input>", '</input><mesosim value="true"/>'),
     "connects.sumocfg": (CONFIG, "trips.xml", "localhost:8000"),
+    "collisions.sumocfg": (CONFIG, "<time>", '<time><collision.action value="remove"/>'),
     "vtk.sumocfg": (CONFIG, "<time>", '<time><vtk-output value="/nowhere/precious"/>'),
     "twice.sumocfg": (CONFIG, "<time>", '<time><n value="grid.net.xml"/><begin value="3"/><b value="5"/>'),
     "shift.sumocfg": (CONFIG, "<configuration>", "<?xml version='1.0' encoding='shift_jis'?><configuration>"),
@@ -131,6 +132,7 @@ WARNED: list[tuple[list[dict[str, Any]], str]] = [
     ([own(routes="people.rou.xml")], "on foot"),
     ([ego(config={"vehicles_count": 30})], "use 'traffic_scale'"),
     ([ego(config={"simulation_frequency": 300})], "milliseconds.*-10%"),
+    ([ego("collisions.sumocfg")], "collision.action=remove is replaced by warn"),
     ([ego(), ego()], "read the first one"),
 ]
 

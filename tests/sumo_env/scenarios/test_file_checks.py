@@ -152,12 +152,3 @@ def test_an_ego_of_an_included_file_is_known_with_the_place_where_it_arrives(
     *_, (*_, last) = list(drive(env, 1))
     assert last["ending"] == "arrived" and last["rewards"]["progress_reward"] < 0.2
     env.close()
-
-
-@needs_sumo
-def test_other_options_for_collisions_are_replaced_and_named(town: Path) -> None:
-    config = town / "collisions.sumocfg"
-    text = (town / "t.sumocfg").read_text()
-    config.write_text(text.replace("<time>", '<time><collision.action value="remove"/>'))
-    with pytest.warns(UserWarning, match="collision.action=remove is replaced by warn"):
-        SumoDrivingEnv(config, ego_vehicle="ego")

@@ -26,7 +26,7 @@ def test_the_simulators_do_what_they_did(backend: str, task: str) -> None:
 @pytest.mark.parametrize("risk", [0.0, 1.0])
 def test_a_change_in_the_middle_of_an_episode_is_noticed_at_either_dose(risk: float, monkeypatch) -> None:
     """And one that other processors might make is not."""
-    usual = driven("sumo", "u-turn")
+    known = fingerprint._table()["sumo"]["u-turn"]["behaviour"]
 
     class Changed(gym.Wrapper):
         size = 0.1
@@ -39,9 +39,9 @@ def test_a_change_in_the_middle_of_an_episode_is_noticed_at_either_dose(risk: fl
 
     name = "experiments.study.design.fingerprint.make_env"
     monkeypatch.setattr(name, lambda *asked: Changed(make_env(*asked)))
-    assert not fingerprint._same(driven("sumo", "u-turn"), usual)
+    assert not fingerprint._same(driven("sumo", "u-turn"), known)
     Changed.size = 1e-6
-    assert fingerprint._same(driven("sumo", "u-turn"), usual)
+    assert fingerprint._same(driven("sumo", "u-turn"), known)
 
 
 def test_a_learner_that_learns_otherwise_is_named_before_a_sweep_begins(monkeypatch) -> None:

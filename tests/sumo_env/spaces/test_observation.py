@@ -70,10 +70,9 @@ def assert_equal(env: ScenarioEnv, theirs: ObservationType, observation: dict[st
     np.testing.assert_allclose(result[~missing], expected[~missing], rtol=0.0, atol=1e-5)
 
 
-@pytest.mark.parametrize("risk", [0.0, 1.0])
 @highway_env_task
-def test_equal_throughout_episodes(task: str, risk: float) -> None:
-    env = make(task, risk=risk)
+def test_equal_throughout_episodes(task: str) -> None:
+    env = make(task, risk=1.0)
     env.reset(seed=0)  # the default range of y is that of an episode's first state
     chosen = [env.config["observation"], *KINEMATICS, *GRIDS]
     theirs = [observation_factory(env, observation) for observation in chosen]

@@ -90,18 +90,5 @@ def junctions(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
     return net, _routes(folder, ways, rng, ways[0]), []
 
 
-def bridges(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
-    """A road over another one, beside a road at the same height without a junction."""
-    places = {"w": (0, 0, 8), "e": (250, 0, 8), "s": (100, -120, 0), "n": (100, 120, 0)}
-    places |= {"t": (150, 120, 8), "q": (150, -120, 8)}
-    nodes = "".join(f'<node id="{name}" x="{x}" y="{y}" z="{z}"/>' for name, (x, y, z) in places.items())
-    net = build(folder, (nodes, streets("we", "sn", "tq", lanes=2)), "--no-turnarounds")
-    ways = [_between(way, way) for way in ("we", "sn", "tq")]
-    return (
-        net,
-        _routes(folder, ways, rng, ways[0]),
-        ["--lateral-resolution", "0.8"] if rng.random() < 0.5 else [],
-    )
-
-
-KINDS = (sublanes, bus_lanes, junctions, bridges)
+# Roads over each other: contacts/test_meeting.py.
+KINDS = (sublanes, bus_lanes, junctions)

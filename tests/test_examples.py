@@ -24,7 +24,6 @@ SCRIPTS = {
     ),
     "ppo.py": (["--steps", "96", "--envs", "2", "--rollout", "24"], "96 steps, return of the last"),
     "rl_agents_config.py": (["--steps", "30"], "observation (15, 7)"),
-    "several_cars.py": (["--steps", "700", "--episodes", "2", "--seeds", "0"], '"trained, greedy"'),
     "torchrl_rollout.py": (["--steps", "12"], "torch.Size([12, 5, 5])"),
 }
 

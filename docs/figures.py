@@ -22,7 +22,6 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
-from sumolib.net import readNet
 
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
@@ -40,13 +39,6 @@ WINDOWS: dict[str, list[Window]] = {
     "intersection": [(-50.0, 50.0, -50.0, 50.0), (-14.0, 14.0, -14.0, 14.0)],
     "u-turn": [(-30.0, 160.0, -12.0, 60.0), (118.0, 158.0, 36.0, 52.0)],
 }
-HEIGHTS = {"u-turn": 3.0}  # [inch]
-
-
-def shapes(net: Network) -> dict[str, np.ndarray]:
-    """SUMO lane id -> points of its shape, (n, 2) [m], y down."""
-    edges = readNet(str(net.net_file), withInternal=True).getEdges()
-    return {lane.getID(): np.array(lane.getShape()) * (1, -1) for edge in edges for lane in edge.getLanes()}
 
 
 def band(line: np.ndarray) -> np.ndarray:
@@ -59,21 +51,18 @@ def band(line: np.ndarray) -> np.ndarray:
 
 def draw_network(axes: Axes, net: Network, window: Window) -> None:
     """One window of a network."""
-    for name, line in shapes(net).items():
-        joint = name.startswith(":")
-        axes.fill(*band(line).T, color="#f3c89a" if joint else "#d9dde2", lw=0, zorder=1 + joint)
-        axes.plot(*line.T, color="#c65d00" if joint else "#3c444c", lw=2.6, zorder=3 + joint)
-    for index, lane in net.road.lanes.items():
+    for name, sumo_lane in net.sumo_lanes.items():
+        joint, shape = name.startswith(":"), np.array(sumo_lane.shape)
+        axes.fill(*band(shape).T, color="#f3c89a" if joint else "#d9dde2", lw=0, zorder=1 + joint)
+        axes.plot(*shape.T, color="#c65d00" if joint else "#3c444c", lw=2.6, zorder=3 + joint)
+    for (start, end, number), lane in net.road.lanes.items():
         s = np.arange(0.0, lane.length + 0.25, 0.5).clip(max=lane.length)
-        line = np.array([lane.position(float(v), 0.0) for v in s])
-        axes.plot(*line.T, color="#49b6ff", lw=1.2, ls=(0, (3, 3)), zorder=6)
-        if index[2] == 0:
-            for name, place in zip(
-                index[:2], (lane.position(0.0, 0.0), lane.position(lane.length, 0.0)), strict=True
-            ):
-                node(axes, name, place, window)
-    axes.set(xlim=window[:2], ylim=window[3:1:-1], xlabel="x [m]", ylabel="y [m], down")
-    axes.set_aspect("equal")
+        line = [lane.position(float(v), 0.0) for v in s]
+        axes.plot(*zip(*line, strict=True), color="#49b6ff", lw=1.2, ls=(0, (3, 3)), zorder=6)
+        if number == 0:
+            node(axes, start, line[0], window)
+            node(axes, end, lane.position(lane.length, 0.0), window)
+    axes.set(xlim=window[:2], ylim=window[3:1:-1], xlabel="x [m]", ylabel="y [m], down", aspect="equal")
 
 
 def node(axes: Axes, name: str, place: Point, window: Window) -> None:
@@ -91,16 +80,15 @@ def node(axes: Axes, name: str, place: Point, window: Window) -> None:
 
 def networks() -> None:
     """One picture for each road that is not straight."""
-    (IMAGES / "networks").mkdir(parents=True, exist_ok=True)
     legend = [
         Line2D([], [], color="#3c444c", lw=2.6, label="SUMO lane"),
         Line2D([], [], color="#c65d00", lw=2.6, label="SUMO lane inside a junction"),
         Line2D([], [], color="#49b6ff", lw=1.2, ls="--", label="highway-env lane, with its nodes"),
     ]
     for task, windows in WINDOWS.items():
-        size = (9, HEIGHTS.get(task, 4.9))
-        figure, axes = plt.subplots(1, len(windows), figsize=size, squeeze=False, layout="constrained")
-        for axis, window in zip(axes[0], windows, strict=True):
+        size = (9.0, 3.0 if task == "u-turn" else 4.9)
+        figure, axes = plt.subplots(1, len(windows), figsize=size, layout="constrained")
+        for axis, window in zip(axes, windows, strict=True):
             draw_network(axis, network(road(task)), window)
         figure.legend(handles=legend, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
         figure.savefig(IMAGES / "networks" / f"{task}.png", dpi=110, metadata={"Software": None})
@@ -136,10 +124,9 @@ def shadows(axes: Axes, first: State, second: State, heading: float, foot: Point
 
 def panel(axes: Axes, title: str, caption: str, half: float = 6.6, centre: Point = (0.0, 0.0)) -> None:
     """The frame of a drawing, `half` as wide and high [m]."""
+    x, y = centre
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
     axes.set_title(title, fontsize=8.5)
-    axes.set_aspect("equal")
-    axes.set_xlim(centre[0] - half, centre[0] + half)
-    axes.set_ylim(centre[1] - half, centre[1] + half)
     axes.axis("off")
     axes.text(0.5, 0.02, caption, fontsize=8, ha="center", transform=axes.transAxes)
 
@@ -163,19 +150,15 @@ def collisions() -> None:
     heading = math.pi / 4
     middle = np.array([2.5, 1.0]) + (LENGTH / 2 - 0.15) * np.array([math.cos(heading), math.sin(heading)])
     aside = np.array([math.sin(heading), -math.cos(heading)])
-    first, last = middle + 2.0 * aside, middle - 1.25 * aside
-    ends: tuple[State, State] = (
-        (float(first[0]), float(first[1]), 0.0, heading),
-        (float(last[0]), float(last[1]), 0.0, heading),
-    )
-    moment = touch_moment(ego, ego, *ends)
+    first, last = ((x, y, 0.0, heading) for x, y in (middle + np.outer([2.0, -1.25], aside)).tolist())
+    moment = touch_moment(ego, ego, first, last)
     words = f"apart at both ends (light), first contact at {moment:.2f} of the way (dark)"
     panel(grazed, "contact on the way between two looks", words, half=5.2, centre=(3.0, 0.8))
     car(grazed, ego, EGO)
-    for end in ends:
-        car(grazed, end, OTHER, alpha=0.15)
-    car(grazed, state_between(*ends, moment), OTHER, alpha=0.5)
-    grazed.annotate("", ends[1][:2], ends[0][:2], arrowprops={"arrowstyle": "->", "color": AXIS, "lw": 0.8})
+    car(grazed, first, OTHER, alpha=0.15)
+    car(grazed, last, OTHER, alpha=0.15)
+    car(grazed, state_between(first, last, moment), OTHER, alpha=0.5)
+    grazed.annotate("", last[:2], first[:2], arrowprops={"arrowstyle": "->", "color": AXIS, "lw": 0.8})
     figure.tight_layout()
     figure.savefig(IMAGES / "collisions.png", dpi=110)
     plt.close(figure)

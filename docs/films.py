@@ -1,7 +1,7 @@
 """Draws the films and pictures of the tasks: ``python docs/films.py``.
 
 docs/img/environments/*.png   one moment of each task, as its page shows it
-docs/img/films/*.gif          each task at risk 1, while the ego is in sight, in the first scenario with early danger
+docs/img/films/*.gif          each task at risk 1, while the ego is in sight, in a scenario with early danger
 docs/img/risk.gif             README's Drive at risk 0, at risk 1, and as its crash could have been avoided
 
 docs/img/scenarios.png        one moment of each environment in examples/scenarios, with SUMO as the driver
@@ -21,7 +21,6 @@ import subprocess
 import sys
 import tempfile
 from contextlib import ExitStack, closing
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +33,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[0] = str(ROOT)
 
 from agents.rules import make_policy
+from docs.windows import beside
 from experiments.replay import filmed
 from experiments.study.replaying.avoid import way_out
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 from sumo_env.env import DrivingEnv
-from sumo_env.rendering.scenery import FILM
 
 IMAGES = ROOT / "docs" / "img"
 
@@ -56,19 +55,16 @@ PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
 STRIP = {"screen_width": 320, "screen_height": 114, "centering_position": [0.5, 0.5]}
 HIGH = {"screen_width": 240, "screen_height": 280}
 Place = tuple[float | None, float | None]
-# task -> configuration of its film, and what is in its middle [m]: None where the camera follows the ego
-FILMS: dict[str, tuple[dict[str, Any], Place]] = {
-    "highway": ({**STRIP, "scaling": 4.5}, (None, 3.6)),
-    "two-way": ({**STRIP, "scaling": 6.0}, (None, 1.0)),
-    "merge": ({**STRIP, "scaling": 3.8}, (None, 4.6)),
-    "roundabout": ({**HIGH, "screen_width": 280, "scaling": 4.3}, (0.0, -4.0)),
-    "intersection": ({**HIGH, "scaling": 5.5}, (2.0, 6.0)),
-    "u-turn": ({**HIGH, "scaling": 4.6}, (130.0, 22.0)),
+# task -> seed, configuration of its film, and what is in its middle [m]: None where the camera follows the ego
+FILMS: dict[str, tuple[int, dict[str, Any], Place]] = {
+    "highway": (5, {**STRIP, "scaling": 4.5}, (None, 3.6)),
+    "two-way": (1, {**STRIP, "scaling": 6.0}, (None, 1.0)),
+    "merge": (12, {**STRIP, "scaling": 3.8}, (None, 4.6)),
+    "roundabout": (2, {**HIGH, "screen_width": 280, "scaling": 4.3}, (0.0, -4.0)),
+    "intersection": (0, {**HIGH, "scaling": 5.5}, (2.0, 6.0)),
+    "u-turn": (2, {**HIGH, "scaling": 4.6}, (130.0, 22.0)),
 }
 SCENARIO, SECONDS, TILE = 10_000, 12, 300  # of the small scenarios: seed, steps, size [px]
-DRIVER = "careful"
-NEAR = 15.0  # [m] to a car that is beside the ego
-EARLY, LEAST = 5, 4  # [s] until the first danger, and that the ego is seen at least
 # the picture of README's Drive, whose seed it has, and policy steps after the crash
 (SEED,) = map(int, re.findall(r"reset\(seed=(\d+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))[:1])
 DRIVE: dict[str, Any] = {"policy_frequency": 5, "duration": 20, **STRIP, "screen_width": 600, "scaling": 5.0}
@@ -86,23 +82,17 @@ class Watched(DrivingEnv):
     def ego_place(self) -> list[float]:
         """Where the ego is in the picture, as shares of its width and height."""
         view, place = self.config, list(self.config["centering_position"])
-        ego, size = (
-            (self.scene.x.item(0), self.scene.y.item(0)),
-            (view["screen_width"], view["screen_height"]),
-        )
+        ego = self.scene.x.item(0), self.scene.y.item(0)
+        size = view["screen_width"], view["screen_height"]
         for axis, middle in enumerate(self.middle):
             if middle is not None:
                 place[axis] = 0.5 + (ego[axis] - middle) * view["scaling"] / size[axis]
         return place
 
-    def is_ego_seen(self) -> bool:
-        """Whether the ego is in the picture."""
-        return all(0.0 < share < 1.0 for share in self.ego_place())
-
     def render(self) -> NDArray[np.uint8] | None:
         """The scene from where the camera is."""
-        self.seen.append(self.is_ego_seen())
-        self.config["centering_position"] = self.ego_place()
+        self.config["centering_position"] = place = self.ego_place()
+        self.seen.append(all(0.0 < share < 1.0 for share in place))
         return super().render()
 
 
@@ -123,28 +113,6 @@ def film(
     return [picture for picture, is_seen in zip(recorded.pictures, env.seen, strict=True) if is_seen]
 
 
-def with_danger(task: str, config: dict[str, Any], middle: Place) -> int:
-    """The first seed with a near miss or crash beside a car in a risk event, soon after the ego comes into sight."""
-    env = Watched(task, config, middle)
-    policy = make_policy(DRIVER, env)
-    for seed in count():
-        observation, _ = env.reset(seed=seed)
-        policy.reset(seed)
-        seconds, dangerous, over = 0, False, False
-        while not over and (env.is_ego_seen() or not seconds):
-            observation, _, terminated, truncated, info = env.step(policy.act(observation))
-            over, scene = terminated or truncated, env.scene
-            seconds += env.is_ego_seen()
-            apart = np.hypot(scene.x - scene.x[0], scene.y - scene.y[0]).tolist()
-            near = {name for name, far in zip(scene.ids, apart, strict=True) if far < NEAR}
-            is_close = info["near_miss"] or info["crashed"]
-            dangerous = dangerous or bool(is_close and near & scene.in_event and 0 < seconds <= EARLY)
-        if dangerous and seconds >= LEAST:
-            break
-    env.close()
-    return seed
-
-
 def environments() -> None:
     """One frame for the page of each task."""
     for task, (seed, steps, config) in PAGES.items():
@@ -154,13 +122,9 @@ def environments() -> None:
 
 def films() -> None:
     """One film of each task."""
-    for task, (view, middle) in FILMS.items():
-        config = {**view, "risk": 1.0}
-        seed = with_danger(task, config, middle)
-        pictures = film(task, seed, DRIVER, config, middle=middle)
+    for task, (seed, view, middle) in FILMS.items():
+        pictures = film(task, seed, "careful", {**view, "risk": 1.0}, middle=middle)
         save_gif(pictures, IMAGES / "films" / f"{task}.gif")
-        ground = np.mean([(np.asarray(picture) == FILM.ground).all(axis=2).mean() for picture in pictures])
-        print(f"{task}: seed {seed}, {len(pictures)} pictures, {ground:.0%} of them ground")
 
 
 def risk() -> None:
@@ -202,28 +166,19 @@ def scenarios() -> None:
     for script in sorted((ROOT / "examples" / "scenarios").glob("*.py")):
         if script.stem in ("build", "train"):
             continue
-        env = runpy.run_path(str(script))["make"](render_mode="rgb_array")
+        env = runpy.run_path(str(script))["make"](render_mode="rgb_array").unwrapped
         env.reset(seed=SCENARIO)
         alone = isinstance(env, gym.Env)
-        cars = {"ego": env.unwrapped} if alone else env.cars
+        cars = {"ego": env} if alone else env.cars
         for _ in range(SECONDS):
-            for car in cars.values():
+            ignored = {}
+            for name, car in cars.items():
                 car.hand_over()
-            spaces = {name: car.action_space for name, car in cars.items()}
-            ignored = {name: 1 if hasattr(space, "n") else space.sample() for name, space in spaces.items()}
-            if alone:
-                cars["ego"].step(ignored["ego"])
-            else:
-                env.step(ignored)
+                ignored[name] = 1 if hasattr(car.action_space, "n") else car.action_space.sample()
+            env.step(ignored["ego"] if alone else ignored)
         frames.append(Image.fromarray(env.render()).resize((TILE, TILE)))
         env.close()
-    columns, gap = 3, 10
-    rows = -(-len(frames) // columns)
-    whole = Image.new("RGB", (columns * (TILE + gap) - gap, rows * (TILE + gap) - gap), "white")
-    for number, frame in enumerate(frames):
-        row, column = divmod(number, columns)
-        whole.paste(frame, (column * (TILE + gap), row * (TILE + gap)))
-    whole.save(IMAGES / "scenarios.png", optimize=True)
+    beside(frames, columns=3).save(IMAGES / "scenarios.png", optimize=True)
 
 
 def town() -> None:

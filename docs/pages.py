@@ -120,26 +120,9 @@ def study() -> Any:
     return SimpleNamespace(**stored | frames)
 
 
-def speed_figure() -> str:
-    """Crashes against speed of everybody in each task's lightest traffic."""
-    shown = chosen(episodes(), level=1, arm=[*ARMS, *BESIDE])
-    return alone(crashes_against_speed(drivers(shown), "study"))
-
-
 def checks() -> pd.DataFrame:
     """The checks of SUMO against highway-env one by one, of all scenarios or of the first ones."""
     return pd.read_csv(ROOT / "results" / "validation.csv")
-
-
-def checks_figure() -> str:
-    """SUMO against highway-env in each check, with the margins."""
-    return alone(validation_figure(checks()))
-
-
-def settings_figure() -> str:
-    """Crashes against speed of random actions and of what Stable-Baselines3 has learned."""
-    leads = "random actions", "DQN, median and range"
-    return alone(crashes_against_speed(learned(), "settings", leads, NAMES))
 
 
 @functools.cache
@@ -162,21 +145,16 @@ def taken_over() -> list[tuple[dict[str, Any], ...]]:
     return found
 
 
-def road_units_figure() -> str:
-    """Doses of risk beside measured drivers."""
-    return alone(doses_figure(pd.read_parquet(ROOT / "results" / "road-units.parquet")))
-
-
 def rare_curves() -> str:
     """Crashes of two rules against the rate of risk events, as `experiments/rare.py` stored them."""
     curves = pd.read_csv(ROOT / "results" / "rare.csv").groupby("policy")
-    return alone(rare_figure({str(policy): curve for policy, curve in curves}, "u-turn, 3 other vehicles"))
+    return rare_figure({str(policy): curve for policy, curve in curves}, "u-turn, 3 other vehicles")
 
 
 def entries_figure() -> str:
     """Crashes against speed of the frozen test's entries."""
     cards = evaluate.entries()
-    return alone(card_figure(cards, next(iter(cards.values()))["set"]) or "")
+    return card_figure(cards, next(iter(cards.values()))["set"]) or ""
 
 
 def row(frame: str, **wanted: Any) -> dict[str, Any]:
@@ -242,50 +220,52 @@ FUNCTIONS: list[Callable[..., Any]] = [
     *(share, study, survivors, taken_over, trained, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
-IMAGES = ROOT / "docs" / "img"
-FIGURES = {
-    IMAGES / "study.svg": speed_figure,
-    IMAGES / "takeover.svg": lambda: alone(danger_figure(moments())),
-    IMAGES / "entries.svg": entries_figure,
-    IMAGES / "settings.svg": settings_figure,
-    IMAGES / "validation.svg": checks_figure,
-    IMAGES / "road-units.svg": road_units_figure,
-    IMAGES / "rare.svg": rare_curves,
+LEADS = "random actions", "DQN, median and range"
+# Their files are in docs/img; study: of each task's lightest traffic.
+FIGURES: dict[str, Callable[[], str]] = {
+    "study": lambda: crashes_against_speed(
+        drivers(chosen(episodes(), level=1, arm=[*ARMS, *BESIDE])), "study"
+    ),
+    "takeover": lambda: danger_figure(moments()),
+    "entries": entries_figure,
+    "settings": lambda: crashes_against_speed(learned(), "settings", LEADS, NAMES),
+    "validation": lambda: validation_figure(checks()),
+    "road-units": lambda: doses_figure(pd.read_parquet(ROOT / "results" / "road-units.parquet")),
+    "rare": rare_curves,
 }
+
+
+def figure_file(name: str) -> Path:
+    """The file of one of FIGURES."""
+    return ROOT / "docs" / "img" / f"{name}.svg"
 
 
 def page_of(template: Path) -> Path:
     """The page that a template becomes."""
-    name = template.relative_to(TEMPLATES).with_suffix("")
-    return ROOT / name if name == Path("README.md") else ROOT / "docs" / name
+    name = template.stem
+    return ROOT / name if name == "README.md" else ROOT / "docs" / name
 
 
 def filled(template: Path) -> str:
     """The text of the page that a template becomes."""
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
+    blocks: Any = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
+    environment = Environment(loader=FileSystemLoader(TEMPLATES), undefined=StrictUndefined, **blocks)
     environment.globals.update({function.__name__: function for function in FUNCTIONS})
     environment.filters.update({function.__name__: function for function in FILTERS})
-    text = environment.get_template(str(template.relative_to(TEMPLATES))).render()
+    text = environment.get_template(template.name).render()
     return NOTE.format(template=template.relative_to(ROOT)) + text
 
 
 def templates() -> list[Path]:
     """All templates."""
-    return sorted(TEMPLATES.rglob("*.md.j2"))
+    return sorted(TEMPLATES.glob("*.md.j2"))
 
 
 def main() -> int:
     """Write pages and figures, or with --check say which are not what is made of the tables; 1 if there is one."""
     stale = 0
     made = {page_of(template): filled(template) for template in templates()}
-    made |= {file: draw() for file, draw in FIGURES.items()}
+    made |= {figure_file(name): alone(draw()) for name, draw in FIGURES.items()}
     for page, text in made.items():
         if page.exists() and page.read_text(encoding="utf-8") == text:
             continue

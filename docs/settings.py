@@ -34,10 +34,7 @@ TASKS = {
     "u-turn": 10,
 }
 RISKS, SEEDS = (0, 1), ("0", "1", "2")
-README, MORE_SEEDS = (
-    ("two-way-brakes", 1),
-    ("3", "4", "5", "6", "7", "8", "9"),
-)  # README's script has ten trainings
+README, MORE_SEEDS = ("two-way-brakes", 1), ("3", "4", "5", "6", "7", "8", "9")  # README's has ten trainings
 SCENARIOS, STEPS = range(5000, 5100), 15_000  # 100 scenarios, so that crashes are in %
 ARMS = ("control", "treatment")  # by risk
 DIGITS = {"return": 1, "crashes": 0, "speed": 1}
@@ -68,8 +65,10 @@ SETTINGS: dict[str, tuple[dict[str, Any], int]] = {  # by TASK/RISK
 }
 
 # Where the figure names a task, beside random actions, as `reporting.figures.NAMES`.
-NAMES = {"roundabout": (8, -2, "left"), "two-way": (7, -5, "left"), "u-turn": (-4, 7, "right")}
-NAMES |= {
+NAMES = {
+    "roundabout": (8, -2, "left"),
+    "two-way": (7, -5, "left"),
+    "u-turn": (-4, 7, "right"),
     "highway": (-7, -3, "right"),
     "intersection": (-14, 11, "left"),
     "two-way-brakes": (-8, -10, "right"),

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "img" / "windows"
 RAMP = ROOT / "examples" / "scenarios" / "networks" / "ramp.net.xml"
 ROUTES = [["main", "merge", "out"]], ["ramp", "merge", "out"]
-WIDTH, GAP = 460, 10  # [px] of a window, and between two
+WIDTH, GAP = 460, 10  # [px] of a window, and between two pictures
 STEPS = {"highway": 3, "two-way": 3, "roundabout": 4, "u-turn": 5, "intersection": 5, "ramp": 17}
 WINDOWS = {"pygame": {"render_mode": "human"}, "sumo-gui": {"live": "sumo-gui"}}
 
@@ -47,14 +47,14 @@ def shot(name: str, kind: str) -> Image.Image:
     return picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)
 
 
-def beside(pictures: list[Image.Image]) -> Image.Image:
-    """Pictures in two columns, each where there is more room."""
-    heights, places = [0, 0], []
+def beside(pictures: list[Image.Image], columns: int = 2) -> Image.Image:
+    """Pictures of one width in columns, each where there is most room."""
+    heights, places, width = [0] * columns, [], pictures[0].width + GAP
     for picture in pictures:
         column = heights.index(min(heights))
-        places.append((column * (WIDTH + GAP), heights[column]))
+        places.append((column * width, heights[column]))
         heights[column] += picture.height + GAP
-    whole = Image.new("RGB", (2 * WIDTH + GAP, max(heights) - GAP), "white")
+    whole = Image.new("RGB", (columns * width - GAP, max(heights) - GAP), "white")
     for picture, place in zip(pictures, places, strict=True):
         whole.paste(picture, place)
     return whole

@@ -22,6 +22,7 @@ from matplotlib.axes import Axes
 import sumo_env
 from docs import pages, settings
 from docs.pages import filled, page_of, templates
+from experiments.reporting.figures import alone
 from experiments.reporting.road_units import MEASURED
 from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID, VARIANTS
@@ -244,7 +245,7 @@ def test_doses_in_units_of_the_road_are_those_of_the_table() -> None:
     highway = [line for line in stored if line["task"] == "highway"]
     assert [line["traffic"] for line in highway] == ["0", "0.25", "0.5", "0.75", "1", "measured"]
     with patch.object(Axes, "plot") as calls:
-        pages.road_units_figure()
+        pages.FIGURES["road-units"]()
     drawn = [[*map(list, call.args)] for call in calls.call_args_list]
     for unit in ("braking_4.4", "cut_ins", "headway"):
         *doses, measured = (line[unit] for line in highway)
@@ -363,12 +364,12 @@ def test_who_gets_out_of_whose_moments_is_counted_from_the_stored_record() -> No
         assert found["crashed"][name] == pytest.approx(100 * crashed / len(moments))
 
 
-@pytest.mark.parametrize("file", pages.FIGURES, ids=lambda file: file.name)
-def test_a_figure_is_what_the_stored_episodes_make(file: Path) -> None:
+@pytest.mark.parametrize("name", pages.FIGURES)
+def test_a_figure_is_what_the_stored_episodes_make(name: str) -> None:
     """Up to the last digits, which hang on the processor."""
-    draw = pages.FIGURES[file]
     number = re.compile(r"-?\d+\.\d+")
-    then, now = file.read_text(encoding="utf-8"), draw()
+    then = pages.figure_file(name).read_text(encoding="utf-8")
+    now = alone(pages.FIGURES[name]())
     assert number.sub("#", then) == number.sub("#", now)
     assert list(map(float, number.findall(then))) == pytest.approx(
         list(map(float, number.findall(now))), abs=0.01

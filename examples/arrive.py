@@ -8,7 +8,7 @@ ramp: from the acceleration lane between the cars of a motorway, and on. grid: a
 the ego, a right turn and three traffic lights, which the agent has to learn. town: three trips through Braunschweig,
 where the ego obeys its light by itself. Roads, traffic, horizon and seeds of the grid were fixed before any agent was
 trained on this grid; only the agent's side (observation, rewards, settings of learners) was tuned, on other seeds.
-Each line counts how 100 episodes ended. Training and the choice of settings (--tune) used other seeds.
+Each line counts how 100 episodes ended. Training and the choice of settings used other seeds.
 """
 
 import argparse
@@ -26,8 +26,7 @@ import torch
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import ON_ITS_WAY
 
-TEST, TUNE = 10_000, 50_000  # first seeds of the test's episodes, and of those for the choice of settings
-TRAININGS, TRIALS = (0, 1, 2), (100,)  # seeds of the trainings, and of those for the choice of settings
+TEST = 10_000  # first seed of the test's episodes
 
 RAMP = {
     "node-files": '<nodes><node id="west" x="-300" y="0"/><node id="south" x="-250" y="-100"/>'
@@ -55,18 +54,9 @@ CONFIG = {
     "grid": {"vehicles_count": 12, "spawn_probability": 0.5, "duration": 120, "simulation_frequency": 5},
     "town": {"warm_up": 30, "duration": 120, "simulation_frequency": 5, "obey_traffic_lights": True},
 }
-# The agent's side: what it sees, and what it is paid.
-AGENT = {
-    "grid": {
-        "red_light_reward": -5,
-        # the ego's row alone, with what it was told last and to whom it has to give way
-        "observation": {
-            "type": "Kinematics",
-            "vehicles_count": 1,
-            "features": ["vx", *ON_ITS_WAY, "foe_gap", "foe_speed", "target_speed"],
-        },
-    },
-}
+# On the grid the agent sees the ego's row alone, with what it was told last and to whom it has to give way.
+FEATURES = ["vx", *ON_ITS_WAY, "foe_gap", "foe_speed", "target_speed"]
+CONFIG["grid"]["observation"] = {"type": "Kinematics", "vehicles_count": 1, "features": FEATURES}
 # What differs for drivers that do not learn.
 CONFIG_OF = {
     "SUMO": {"action": {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}},
@@ -75,8 +65,8 @@ CONFIG_OF = {
 CONSTANTS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 
 
-def make(name, folder, config=None, **keywords):
-    """The environment of a scenario, with its files in this folder; config: what differs from `CONFIG` and `AGENT`."""
+def make(name, folder, config=None):
+    """The environment of a scenario, with its files in this folder; config: what differs from `CONFIG`."""
     folder = Path(folder)
     net, command = folder / f"{name}.net.xml", ["netconvert"]
     if name == "ramp":
@@ -101,14 +91,7 @@ def make(name, folder, config=None, **keywords):
     if not net.exists():
         tool = sumolib.checkBinary(command[0])
         subprocess.run([tool, *command[1:], f"--output-file={net}"], check=True, capture_output=True)
-    config = {**CONFIG[name], **AGENT.get(name, {}), **(config or {})}
-    return SumoDrivingEnv(net, **scenario, config=config, **keywords)
-
-
-def ending(info):
-    """How an episode ended, in a word."""
-    names = "crashed", "arrived", "missed_turn", "removed"
-    return next((name for name in names if info[name]), "time is up")
+    return SumoDrivingEnv(net, **scenario, config={**CONFIG[name], **(config or {})})
 
 
 def drive(env, act, seeds, begin=lambda seed: None):
@@ -122,11 +105,11 @@ def drive(env, act, seeds, begin=lambda seed: None):
             observation, _, terminated, truncated, info = env.step(act(observation))
             ran |= info["red_light"]
             over = terminated or truncated
-        ends[ending(info)] += 1
+        ends[info["ending"]] += 1
         red += ran
         if not info["arrived"]:
             edge, _, end = env.unwrapped.scene.place.lane[0].partition(":")
-            what = info["crash"].get("type", ending(info))
+            what = info["crash"].get("type", info["ending"])
             where[f"{what} {'on' if end == 'from' else 'after'} {edge}"] += 1
     counts = {**dict(sorted(ends.items())), "ran a red light": red}
     return {**counts, "where": dict(where.most_common())} if where else counts
@@ -221,16 +204,15 @@ if __name__ == "__main__":
     )
     parser.add_argument("--out", default="arrive.json")
     parser.add_argument("--only", default="", help="lines whose names begin so, such as grid/dqn")
-    parser.add_argument("--seeds", type=int, nargs="+", help=f"of the trainings, by default {TRAININGS}")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the trainings")
     parser.add_argument("--steps", type=int, help="of a training")
     parser.add_argument("--episodes", type=int, default=100, help="of the test, at each dose")
-    parser.add_argument("--tune", action="store_true", help="train and test on the seeds for choices")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    out, first = Path(args.out), TUNE if args.tune else TEST
+    out = Path(args.out)
     with tempfile.TemporaryDirectory() as folder:
-        for key in rows(args.seeds or (TRIALS if args.tune else TRAININGS)):
+        for key in rows(args.seeds):
             if key.startswith(args.only) and key not in stored(out):
-                line = row(key, folder, range(first, first + args.episodes), args.steps)
+                line = row(key, folder, range(TEST, TEST + args.episodes), args.steps)
                 out.write_text(json.dumps({**stored(out), key: line}, indent=1) + "\n")
                 print(key, line, flush=True)

@@ -26,23 +26,20 @@ torch.set_num_threads(1)
 
 envs = gym.make_vec(f"sumo_env:sumo/{args.task}-v0", num_envs=args.envs, config={"risk": args.risk})
 inputs, actions_count = int(np.prod(envs.single_observation_space.shape)), envs.single_action_space.n
-actor = nn.Sequential(
-    nn.Flatten(),
-    nn.Linear(inputs, 128),
-    nn.Tanh(),
-    nn.Linear(128, 128),
-    nn.Tanh(),
-    nn.Linear(128, actions_count),
-)
-critic = nn.Sequential(
-    nn.Flatten(), nn.Linear(inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, 1)
-)
+
+
+def network(outputs):
+    """Two layers of 128 units on the flat observation."""
+    layers = nn.Linear(inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, outputs)
+    return nn.Sequential(nn.Flatten(), *layers)
+
+
+actor, critic = network(actions_count), network(1)
 optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], lr=5e-4)
 
 observation = torch.as_tensor(envs.reset(seed=args.seed)[0])
-over = torch.zeros(
-    args.envs
-)  # whether the last step of an environment ended its episode: the next one is its reset
+# whether the last step of an environment ended its episode: the next one is its reset
+over = torch.zeros(args.envs)
 returns, running, steps = [], np.zeros(args.envs), 0
 while steps < args.steps:
     rows = []
@@ -79,11 +76,8 @@ while steps < args.steps:
             ratio = (policy.log_prob(taken) - old).exp()
             gain = (gain - gain.mean()) / (gain.std() + 1e-8)
             surrogate = torch.min(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain)
-            loss = (
-                -surrogate.mean()
-                + 0.5 * (critic(x)[:, 0] - target).square().mean()
-                - 0.01 * policy.entropy().mean()
-            )
+            error = (critic(x)[:, 0] - target).square()
+            loss = (0.5 * error - surrogate - 0.01 * policy.entropy()).mean()
             optimizer.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_([*actor.parameters(), *critic.parameters()], 0.5)

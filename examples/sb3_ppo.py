@@ -25,7 +25,6 @@ parser.add_argument("--minutes", type=float, help="train for so long instead")
 parser.add_argument("--scenarios", type=int, default=200, help="that the agent drives in the end")
 parser.add_argument("--save", help="file for a model with the observation of sumo/*, for evaluate.py")
 parser.add_argument("--envs", type=int, default=64)
-parser.add_argument("--threads", type=int, default=1, help="that drive the environments")
 parser.add_argument("--rollout", type=int, default=32, help="steps of each environment between two updates")
 args = parser.parse_args()
 
@@ -85,7 +84,7 @@ if args.save:
     on_sumo = gym.make(f"sumo_env:sumo/{args.task}-v0").unwrapped
     traffic["config"]["observation"] = on_sumo.config["observation"]
 if args.learner == "ppo":
-    envs = gym.make_vec(name, args.envs, autoreset_mode="SameStep", threads=args.threads, **traffic)
+    envs = gym.make_vec(name, args.envs, autoreset_mode="SameStep", **traffic)
     model = PPO(
         "MlpPolicy",
         VecMonitor(Batch(envs)),

@@ -3,23 +3,18 @@
 docs/img/environments/*.png   one moment of each task, as its page shows it
 docs/img/films/*.gif          each task at risk 1, while the ego is in sight, in a scenario with early danger
 docs/img/risk.gif             README's Drive at risk 0, at risk 1, and as its crash could have been avoided
-
 docs/img/scenarios.png        one moment of each environment in examples/scenarios, with SUMO as the driver
 
-``python docs/films.py films`` draws the second line alone, ``risk`` the third, ``scenarios`` the last one, and ``town``
-docs/img/films/town.gif by the script of docs/scenarios.md.
+``python docs/films.py films`` draws the second line alone, ``risk`` the third, ``scenarios`` the last one.
+docs/img/films/town.gif is what the script of docs/scenarios.md writes.
 """
 
 from __future__ import annotations
 
 import copy
-import os
 import re
 import runpy
-import shutil
-import subprocess
 import sys
-import tempfile
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
@@ -55,7 +50,8 @@ PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
 STRIP = {"screen_width": 320, "screen_height": 114, "centering_position": [0.5, 0.5]}
 HIGH = {"screen_width": 240, "screen_height": 280}
 Place = tuple[float | None, float | None]
-# task -> seed, configuration of its film, and what is in its middle [m]: None where the camera follows the ego
+# task -> seed, configuration of its film, and what is in its middle [m]: None where the camera follows the ego. The
+# seeds are the first ones with a near miss or crash beside a car in a risk event within 5 s.
 FILMS: dict[str, tuple[int, dict[str, Any], Place]] = {
     "highway": (5, {**STRIP, "scaling": 4.5}, (None, 3.6)),
     "two-way": (1, {**STRIP, "scaling": 6.0}, (None, 1.0)),
@@ -181,18 +177,7 @@ def scenarios() -> None:
     beside(frames, columns=3).save(IMAGES / "scenarios.png", optimize=True)
 
 
-def town() -> None:
-    """The film that the script of docs/scenarios.md makes; needs eclipse-sumo."""
-    page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
-    scripts = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    (script,) = (script for script in scripts if "town.gif" in script)
-    with tempfile.TemporaryDirectory() as folder:
-        paths = {**os.environ, "PYTHONPATH": str(ROOT)}
-        subprocess.run([sys.executable, "-c", script], cwd=folder, env=paths, check=True)
-        shutil.copy(Path(folder) / "town.gif", IMAGES / "films")
-
-
 if __name__ == "__main__":
-    parts = {"films": films, "risk": risk, "scenarios": scenarios, "town": town}
+    parts = {"films": films, "risk": risk, "scenarios": scenarios}
     for draw in [parts[name] for name in sys.argv[1:]] or [environments, films, risk, scenarios]:
         draw()

@@ -38,20 +38,19 @@ class DQNConfig:
     # The budget is counted in updates, so that it is the same for both arms (the paper's 3072 episodes give them
     # unequal numbers of updates).
     updates: int = 10_000
-    steps_per_update: int = 1  # environment steps between two updates
+    steps_per_update: int = 4  # environment steps between two updates
     learning_rate: float = 5e-4  # of Adam (paper)
     learning_rate_final: float = 0.0  # reached linearly at the last update
     gamma: float = 0.95  # discount a step (paper: .99)
-    n_steps: int = 1  # rewards in a goal, at most: it ends before the next random action
-    batch_size: int = 64  # (paper: 100)
+    n_steps: int = 3  # rewards in a goal, at most: it ends before the next random action
+    batch_size: int = 128  # (paper: 100)
     clip_goals: bool = True  # at what the rewards met so far allow at this discount, see `DQN.bounds`
     horizon: int = (
         0  # steps after which every episode is terminated, which bounds goals further; 0: there is none
     )
     max_grad_norm: float = 10.0  # of the whole gradient (Stable-Baselines3)
     target_interval: int = 1  # updates between two moves of the target network towards the online network
-    # how far it moves, 1 is a copy; as far in four steps as .005 (Lillicrap et al. 2016)
-    tau: float = 0.00125
+    tau: float = 0.005  # how far it moves, 1 is a copy (Lillicrap et al. 2016)
     replay_capacity: int = 50_000  # transitions (rl-agents)
     warm_up: int = 1000  # random steps before the first update
     standardise: bool = True  # inputs, with mean and standard deviation of the warm-up

@@ -21,7 +21,7 @@ from tests.agents.networks import Noisy, Small
 
 INPUTS, ACTIONS = 6, 3
 Medium = partial(Small, hidden=(64, 48), stream=32)
-SIZES: dict[str, Any] = {"batch_size": 16, "replay_capacity": 200, "target_interval": 7}
+SIZES: dict[str, Any] = {"n_steps": 1, "batch_size": 16, "replay_capacity": 200, "target_interval": 7}
 SMALL = DQNConfig(**SIZES, tau=1.0, learning_rate_final=5e-4, standardise=False)
 
 

@@ -21,6 +21,7 @@ SMALL = DQNConfig(
     f"{networks.__file__}:Small",
     updates=300,
     steps_per_update=1,
+    n_steps=1,
     batch_size=16,
     warm_up=30,
     probe_interval=90,

@@ -266,6 +266,9 @@ class Experiment:
         if self.crash_reward is not None:
             ruled["crash_reward"] = self.crash_reward
         rules = TrainingRules(**ruled)
+        if self.learner == LEARNER and rules.training_clock:
+            frequency = env_config(self.backend, task, 1, self._changes(task))["policy_frequency"]
+            said.setdefault("horizon", rules.training_clock[1] * frequency)
         if self._own_network:
             said["network"], files["network_sha256"] = foreign(self._own_network)
         if self._own_learner:

@@ -14,6 +14,7 @@ from experiments.study.design.sheet import GRID, Sheet
 from experiments.study.design.traffic import UNSEEN
 from experiments.support.errors import UserError, check_known
 from sumo_env.config import MEASURED
+from sumo_env.spaces.approach import APPROACH
 
 E = TypeVar("E", bound=Experiment)
 
@@ -28,6 +29,8 @@ PAPER = {
     "network": "dueling",
     "gamma": 0.99,
     "learning_rate_final": 5e-4,
+    "n_steps": 1,
+    "steps_per_update": 1,
     "batch_size": 100,
     "clip_goals": False,
     "target_interval": 500,
@@ -48,11 +51,12 @@ SETTINGS = {
 def tuned(own: Sheet, updates: int, **settings: Any) -> dict[str, Any]:
     """The profile "tuned" of a task: the defaults of `agents.dqn.DQNConfig`, but for these.
 
-    Training episodes may have a longer clock than the test's, of which the share that is over is observed in both (see
-    `wrappers`).
+    The target network moves equally far in a step of the environment everywhere. Training episodes may have a longer
+    clock than the test's, of which the share that is over is observed in both (see `wrappers`).
     """
     longer = {"training_clock": [own.clock, own.clock], "time_observed": own.clock} if own.clock else {}
-    return {"updates": updates, **longer, **settings}
+    often = {"steps_per_update": own.steps_per_update, "tau": 0.00125 * own.steps_per_update}
+    return {"updates": updates, **often, "batch_size": own.batch_size, **longer, **settings}
 
 
 PRESETS = {
@@ -66,6 +70,7 @@ PRESETS = {
             episodes=4,
             gate_episodes=4,
             learners=lambda own: tuned(own, 400, warm_up=200),
+            features=APPROACH,
         ),
         Experiment(
             preset="quick",
@@ -75,6 +80,7 @@ PRESETS = {
             episodes=50,
             gate_episodes=100,
             learners=lambda own: tuned(own, own.quick_updates),
+            features=APPROACH,
         ),
         Experiment(
             preset="study",
@@ -83,7 +89,8 @@ PRESETS = {
             seeds=5,
             episodes=400,
             gate_episodes=100,
-            learners=lambda own: tuned(own, own.study_steps),
+            learners=lambda own: tuned(own, own.updates),
+            features=APPROACH,
             first_seed=800,
             first_scenario=8000,
             test_on=("replica",),

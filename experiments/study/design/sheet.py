@@ -23,7 +23,8 @@ class Sheet:
 
     return_range: largest difference between the returns of two episodes, for margins and the learner's checks.
     episode_length: mean length of a training episode [policy steps], which turns the paper's episodes into updates.
-    quick_updates: budget of this preset. study_steps: environment steps of the study.
+    updates, quick_updates: budgets of the study and of the preset quick, each update of batch_size transitions after
+        steps_per_update environment steps.
     clock: a training clock longer than the test's, observed as a share [s]; None to train with the test's time limit.
     crossing: way from the start to just inside a crossing that the task is about [m]; None without one.
     lane_changes: whether the traffic changes lanes, as a measure of the validation. egos_without: egos that the
@@ -32,44 +33,50 @@ class Sheet:
 
     return_range: float
     episode_length: int
-    quick_updates: int = 8000
-    study_steps: int = 40_000
+    updates: int = 15_000
+    quick_updates: int = 3000
+    steps_per_update: int = 4
+    batch_size: int = 128
     clock: int | None = None
     crossing: float | None = None
     lane_changes: bool = True
     egos_without: frozenset[str] = frozenset()
 
 
-# On the roundabout and the u-turn the time limit is terminal in training, and the time observed. The roundabout's
-# reward pays for standing at the entry: with values beyond the limit, waiting is worth more than driving, and agents
-# learn to wait. On the u-turn nothing is ever learnt of the places where the limit ends an episode, so that the values
-# beyond it, guessed there, grow without bound (docs/learner.md). Their longer clocks end before an ego at the highest
-# speed leaves the road.
+# With a clock the time limit is terminal in training, and the time observed. The roundabout's reward pays for standing
+# at the entry: with values beyond the limit, waiting is worth more than driving, and agents learn to wait. On u-turn
+# and two-way road nothing is ever learnt of the places where the limit ends an episode, so that the values beyond it,
+# guessed there, grow up to the bound of an endless drive (docs/learner.md). On roundabout and u-turn the longer clocks
+# end before an ego at the highest speed leaves the road.
 SHEETS: dict[str, Sheet] = {
     "highway": Sheet(
         return_range=20.0,  # at most 1 a step for 20 s
         episode_length=17,
+        updates=16_000,
+        steps_per_update=3,
+        batch_size=64,
     ),
     # Drivers keep their lane. The ego starts at its top speed, so that "faster" would be "idle" again.
     "two-way": Sheet(
         return_range=15.0,
         episode_length=6,
-        quick_updates=14_000,
-        study_steps=160_000,
+        updates=30_000,
+        quick_updates=5000,
+        steps_per_update=2,
+        batch_size=64,
+        clock=20,
         lane_changes=False,
         egos_without=frozenset({"faster"}),
     ),
     "roundabout": Sheet(
         return_range=11.0,
         episode_length=10,
-        quick_updates=7000,
         clock=15,
         crossing=24.5,  # an ego's length beyond the entry
     ),
     "intersection": Sheet(
         return_range=14.0,  # -5 to 9
         episode_length=9,
-        quick_updates=9000,
         crossing=45.0,
         lane_changes=False,
         egos_without=frozenset({"faster", "weaving"}),  # the ego starts at its top speed
@@ -77,8 +84,6 @@ SHEETS: dict[str, Sheet] = {
     "u-turn": Sheet(
         return_range=10.0,
         episode_length=9,
-        quick_updates=7000,
-        study_steps=80_000,
         clock=13,
     ),
     # In no published study. The ego starts at its top speed.

@@ -107,18 +107,21 @@ def test_options_set_one_key_of_an_entry_and_rules_of_the_training():
         first_seed=900,
         first_scenario=90000,
         config=("action.target_speeds=[10,20,30]", f"observation.features={json.dumps(features)}"),
-        settings=("n_steps=3", "training_clock=[20,20]", "time_observed=20", "horizon=20"),
+        settings=("n_steps=2", "training_clock=[20,20]", "time_observed=20"),
     )
     agents = {cell.task: cell for cell in cells_of(asked) if cell.kind == "agent"}
     for task, cell in agents.items():
         usual, found = TASKS[task].defaults, cell.env_config
         assert found["observation"] == {**usual["observation"], "features": features}
         assert found["action"] == {**usual["action"], "target_speeds": [10, 20, 30]}
-        of_rules = {"training_clock": [20, 20], "time_observed": 20, "horizon": 20, "n_steps": 3}
+        of_rules = {"training_clock": [20, 20], "time_observed": 20, "horizon": 20, "n_steps": 2}
         assert cell.profile.items() >= of_rules.items()
         assert cell.seed >= 900 and cell.eval["first_scenario"] == 90000
+    twice = cells_of(replace(asked, config=("policy_frequency=2",)))
+    assert {cell.profile["horizon"] for cell in twice if cell.kind == "agent"} == {40}  # steps, not seconds
     ended = cells_of(replace(asked, settings=("training_clock=null", "time_observed=null")))
     assert not any({"training_clock", "time_observed"} & {*cell.profile} for cell in ended)
+    assert {cell.profile["horizon"] for cell in ended if cell.kind == "agent"} == {0}
     for setting in ("training_clock=20", "training_clock=[13,15]", "time_observed=1.5"):
         with pytest.raises(UserError, match=setting.partition("=")[0]):
             cells_of(replace(asked, settings=(setting,)))

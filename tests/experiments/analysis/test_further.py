@@ -7,14 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.comparable import comparable
-from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means
-from experiments.analysis.plan import DEFAULT
+from experiments.analysis.effects import WORKING_COLUMNS
 from experiments.analysis.scores import once_each
 from experiments.study.design import experiment
 from experiments.study.design.traffic import AT_A_DOSE
@@ -23,7 +21,7 @@ from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
-from tests.experiments.analysis.made_up import PAIR, agents, find
+from tests.experiments.analysis.made_up import find
 
 LEVELS = {"highway": (1,), "u-turn": (1,)}
 FURTHER = ("mixed", "told", "dose50")
@@ -133,23 +131,3 @@ def test_a_traffic_that_two_cells_test_counts_once(tmp_path: Path) -> None:
     assert {*analyse(results).by_task["traffic"]} == {*AT_A_DOSE}
     with pytest.raises(UserError, match=next(iter(left_out))):
         once_each(results.episodes)
-
-
-def test_means_ask_the_settings_of_the_plan_alone(results: Results) -> None:
-    """Heavier levels, and a task that the plan does not name, do not change them."""
-    random = np.random.default_rng(1)
-    plan = replace(DEFAULT, settings=(("highway", "50"), ("u-turn", "3")))
-    named = {**agents(1, 5, random), **agents(1, 5, random, task="u-turn")}
-    others = {**agents(3, 5, random, effect=9.0), **agents(1, 5, random, effect=9.0, task="roundabout")}
-    few, many = (
-        contrasts(arms, {PAIR: [("crashed", "risky"), ("return", "risky")]})
-        for arms in (named, {**others, **named})
-    )
-    assert len(many) > len(few)
-    for leave_one_out in (False, True):
-        more, less = (means(frame, plan, leave_one_out) for frame in (many, few))
-        more = more[more["scope"] != "roundabout"]
-        pd.testing.assert_frame_equal(
-            more.sort_values(["scope", "outcome"]).reset_index(drop=True),
-            less.sort_values(["scope", "outcome"]).reset_index(drop=True),
-        )

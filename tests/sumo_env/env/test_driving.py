@@ -226,22 +226,6 @@ def test_an_episode_may_start_from_a_given_scenario() -> None:
     assert env.scenario != other
 
 
-@pytest.mark.parametrize(
-    ("task", "config", "action", "expected"),
-    [
-        ("highway", {"duration": 2, "vehicles_count": 1}, 1, "time"),
-        ("highway", {"vehicles_density": 4, "lanes_count": 1}, 3, "crash"),
-        ("intersection", {"initial_vehicle_count": 0, "spawn_probability": 0, "duration": 30}, 2, "arrived"),
-    ],
-)
-def test_info_says_how_an_episode_has_ended(
-    task: str, config: dict[str, Any], action: int, expected: str
-) -> None:
-    env = DrivingEnv(task, config)
-    *before, last = [info["ending"] for *_, info in drive(env, action, seed=1)]
-    assert set(before) <= {""} and last == expected
-
-
 def test_endings_of_other_kinds() -> None:
     env = DrivingEnv("highway", {"vehicles_count": 1})
     env.reset(seed=0)

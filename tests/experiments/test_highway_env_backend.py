@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 from typing import Any
 
@@ -65,38 +64,7 @@ def test_no_task_changes_the_class_of_the_drivers() -> None:
     assert {name: getattr(IDMVehicle, name) for name in BASE_ATTRIBUTES} == before
 
 
-# -- highway-env's own code ----------------------------------------------------------------------------------
-
-
-def stock_copy(env: ScenarioEnv) -> Any:
-    """The same state in the hands of highway-env's own classes."""
-    stock = copy.deepcopy(env)
-    stock.__class__ = type(env).__mro__[2]
-    for vehicle in stock.road.vehicles[1:]:
-        vehicle.__class__ = IDMVehicle
-    stock.road.__dict__.pop("respect_priorities", None)
-    return stock
-
-
-@pytest.mark.parametrize("variant", ["v0", "connected"])
-@highway_env_task
-def test_regular_traffic_moves_as_in_stock_highway_env(task: str, variant: str) -> None:
-    chosen = {"spawn_probability": 0.0} if task == "intersection" else {}
-    env = make(task, variant=variant, **chosen)
-    rng = np.random.default_rng(1)
-    env.reset(seed=2)
-    stock = stock_copy(env)
-    for _ in range(8):
-        action = int(rng.integers(env.action_space.n))
-        observation, reward, terminated, truncated, info = env.step(action)
-        expected = stock.step(action)
-        np.testing.assert_array_equal(observation, expected[0])
-        assert (reward, terminated) == (expected[1], bool(expected[2]))
-        assert info["rewards"] == expected[4]["rewards"]
-        for ours, theirs in zip(env.road.vehicles, stock.road.vehicles, strict=True):
-            assert ours.position.tolist() == theirs.position.tolist()
-        if terminated or truncated:
-            break
+# -- highway-env's own code; whole episodes are compared in tests/sumo_env/replica/test_same_seed.py -------------------
 
 
 def test_the_ego_has_crashed_with_a_wreck_though_another_car_is_nearer() -> None:

@@ -50,7 +50,7 @@ from experiments.study.design.levels import TaskName, env_config, level_names, t
 from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.takeover import films, most_telling
-from experiments.study.results.part import PartFile
+from experiments.study.results.part import write_part
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, check_known, in_words, writing
 from experiments.support.files import plain_json, write_file, write_json
@@ -201,7 +201,7 @@ def takeover(options: Options, arguments: Sequence[str]) -> int:
     asked, names = questions(options), called(options)
     with writing(options.out):
         rows = drive(options, asked)
-        PartFile(options.out / "moments.parquet", "moments", COLUMNS, {}).write(rows)
+        write_part(options.out / "moments.parquet", "moments", COLUMNS, rows, {})
         frames = {"answers": each(rows, analysis.answers), "rates": each(rows, analysis.rates)}
         frames["own_crashes"] = each(rows, analysis.own_crashes)
         by_question = frames["answers"].groupby(AT, sort=False)

@@ -25,7 +25,7 @@ from experiments.reporting.tables import MINUS, chosen, p_value, plain
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, PAIR, WINDOW
 from experiments.study.design.arms import ARMS
 from experiments.study.design.levels import level_names
-from experiments.study.results.part import PartFile
+from experiments.study.results.part import read_part
 
 RECORDS = "takeover/*/moments.parquet"  # of experiments/takeover.py, in a study's folder
 ARM_OF = dict(zip(PAIR, ARMS, strict=True))
@@ -42,7 +42,7 @@ def recorded(directory: Path) -> pd.DataFrame | None:
         DamagedEpisodes: of a record that is damaged.
     """
     files = sorted(directory.glob(RECORDS))
-    found = [PartFile(path, "moments", COLUMNS, {}).read() for path in files]
+    found = [read_part(path, "moments", COLUMNS, {}) for path in files]
     rows = (
         chosen(pd.concat(found, ignore_index=True), within=BOUNDS[0])
         if found

@@ -8,7 +8,7 @@ Each `Part` of the episodes is a file of its own, which the study's runner has w
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,18 +21,14 @@ from agents import pretrained
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
 from experiments.backends import make_env
-from experiments.study.compute import run as runner
+from experiments.study.compute.batches import Batch, driven
 from experiments.study.compute.evaluate import Drive, play
-from experiments.study.compute.executors.local import LocalExecutor
-from experiments.study.compute.progress import LENGTH, STEP, ProgressDisplay
+from experiments.study.compute.progress import LENGTH, STEP
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import sheet
 from experiments.study.design.traffic import AT_A_DOSE
-from experiments.study.results.part import PartFile
-from experiments.study.results.working import LOG
-from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.lanes import WIDTH
@@ -174,19 +170,15 @@ class Engine:
 
 
 @dataclass(frozen=True)
-class Part:
-    """The episodes of some scenarios of a level and traffic, by all egos of an engine (a `run.Task`).
-
-    directory: the folder of all parts.
-    """
+class Part(Batch):
+    """The episodes of some scenarios of a level and traffic, by all egos of an engine."""
 
     engine: Engine
     task: str
     level: int
     traffic: str
     scenarios: range
-    directory: Path = Path()
-    silence: float = 900.0  # [s]
+    columns = COLUMNS
 
     @property
     def name(self) -> str:
@@ -194,7 +186,17 @@ class Part:
         first, last = self.scenarios[0], self.scenarios[-1]
         return f"{self.engine.folder(self.task)}/{self.level}-{self.traffic}-{first:03d}-{last:03d}.parquet"
 
-    def episodes(self) -> list[tuple[int, str]]:
+    @property
+    def path(self) -> Path:
+        """In the folder of all parts."""
+        return self.directory / self.name
+
+    @property
+    def size(self) -> float:
+        """Expected time [s]."""
+        return START + len(self.each()) * LENGTH * STEP[self.engine.backend]
+
+    def each(self) -> list[tuple[int, str]]:
         """Scenario and ego of each episode."""
         asked = self.engine.egos
         known = agents(self.task, self.level) if asked == AGENTS else egos(self.task)
@@ -211,37 +213,19 @@ class Part:
         return drawn % self.engine.one_in == 0
 
     @property
-    def folder(self) -> Path:
-        """Its working folder."""
-        return self.directory / "work" / self.name
+    def episodes(self) -> dict[str, list[Any]]:
+        """What names them, by the columns of PAIR."""
+        rows = [(self.task, self.level, self.traffic, ego, scenario) for scenario, ego in self.each()]
+        return {name: [row[k] for row in rows] for k, name in enumerate(PAIR)}
 
-    @property
-    def file(self) -> PartFile:
-        """Where it is stored."""
-        rows = [(self.task, self.level, self.traffic, ego, scenario) for scenario, ego in self.episodes()]
-        columns = {name: [row[k] for row in rows] for k, name in enumerate(PAIR)}
-        return PartFile(self.directory / self.name, self.name, COLUMNS, columns)
-
-    def done(self) -> bool:
-        """Whether it is stored; a part that is damaged is named, and driven again."""
-        return self.file.done()
-
-    def compute(self, heartbeat: runner.Heartbeat) -> None:
-        """Drive and store all episodes."""
-        self.file.write(self.drive(heartbeat))
-
-    def drive(self, heartbeat: Callable[[float], None] = lambda _: None) -> pd.DataFrame:
-        """Drive all episodes in this process, telling `heartbeat` the share that is done: a row of COLUMNS for each."""
+    def drive(self) -> Iterator[dict[str, Any]]:
+        """Drive them."""
         level = TASKS[self.task].levels[level_names(self.task)[self.level - 1]]
         if self.engine.egos == AGENTS:
             level = pretrained.card(setting(self.task, self.level), AGENTS[0])["config"]
-        env = make_env(self.engine.backend, self.task, {**level, **self.engine.config})
-        rows, episodes = [], self.episodes()
-        for number, episode in enumerate(episodes):
-            heartbeat(number / len(episodes))
-            rows.append(self._row(env, *episode))
-        env.close()
-        return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
+        with closing(make_env(self.engine.backend, self.task, {**level, **self.engine.config})) as env:
+            for episode in self.each():
+                yield self._row(env, *episode)
 
     def _row(self, env: Any, scenario: int, ego: str) -> dict[str, Any]:
         inner, scenes = env.unwrapped, []
@@ -279,7 +263,7 @@ def plan(
     agents in settings that have none.
     """
     parts = [
-        Part(engine, task, level, traffic, scenarios[first : first + size])
+        Part(Path(), engine, task, level, traffic, scenarios[first : first + size])
         for engine in engines
         for task, numbers in levels.items()
         if TASKS[task].road(TASKS[task].defaults).joined
@@ -300,14 +284,5 @@ def run(parts: Sequence[Part], directory: Path, workers: int) -> pd.DataFrame:
     Raises:
         UserError: a part failed. What is finished stays, and the same call goes on from there.
     """
-    tasks = [replace(part, directory=directory) for part in parts]
-    there = [task.name for task in tasks if task.done()]
-    missing = [task for task in tasks if task.name not in there]
-    sizes = {task.name: START + len(task.episodes()) * LENGTH * STEP[task.engine.backend] for task in tasks}
-    with closing(ProgressDisplay(directory / "work", sizes, there, "parts")) as progress:
-        failures = runner.run(missing, LocalExecutor(workers), workers, progress)
-    for name, reason in failures.items():
-        log = directory / "work" / name / LOG
-        raise UserError(f"{name} failed: {reason}; see {log}, and run the same command again to go on")
-    tables = [task.file.read().assign(engine=task.engine.name) for task in tasks]
-    return pd.concat(tables, ignore_index=True)
+    rows = driven([replace(part, directory=directory) for part in parts], "local", workers, "parts")
+    return rows.assign(engine=[part.engine.name for part in parts for _ in part.each()])

@@ -15,8 +15,8 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("cells", "batches"):
         opened = f"experiments.study.compute.{module}.open_executor"
         monkeypatch.setattr(opened, lambda *_: (ThreadPoolExecutor(1), 1))
-    for module in ("validation.episodes", "study.compute.frozen_test"):
-        monkeypatch.setattr(f"experiments.{module}.LocalExecutor", lambda _: ThreadPoolExecutor(1))
+    opened = "experiments.study.compute.frozen_test.LocalExecutor"
+    monkeypatch.setattr(opened, lambda _: ThreadPoolExecutor(1))
 
 
 @pytest.fixture(scope="class")

@@ -99,7 +99,7 @@ def test_a_batch_is_driven_by_what_it_was_named_by(tmp_path: Path) -> None:
         batch = Batch(tmp_path, asked, "curve", ((1.0, 1.0),), 3, 0)
         names.add(batch.name)
         batch.compute(lambda _: None)
-        seen.append(batch.file.read()["steps"].tolist())
+        seen.append(batch.read()["steps"].tolist())
     assert len(names) == 2 and seen[0] != seen[1]
     (tmp_path / "weights.txt").write_text("1")
     with pytest.raises(UserError, match="has changed since"):

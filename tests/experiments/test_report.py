@@ -26,7 +26,7 @@ from experiments.study.compute import takeover
 from experiments.study.design import attainable
 from experiments.study.design.verdict import STORED
 from experiments.study.results.loaded import load
-from experiments.study.results.part import DamagedEpisodes, PartFile
+from experiments.study.results.part import DamagedEpisodes, write_part
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
 from tests.experiments.analysis.test_takeover import alike, drawn
@@ -333,10 +333,10 @@ def test_skill_and_caution_stand_in_the_report_of_a_study_whose_pairs_were_drive
     rows = pd.concat(rows, ignore_index=True).assign(level="3", within=3.0, actions="")
     rows = rows.reindex(columns=[*takeover.COLUMNS])
     takeover_file = tmp_path / "takeover" / "u-turn" / "moments.parquet"
-    PartFile(takeover_file, "moments", takeover.COLUMNS, {}).write(rows)
+    write_part(takeover_file, "moments", takeover.COLUMNS, rows, {})
     dense = rows.assign(level="12", moment=1.0)  # stands beside, and is not of the answers
     file = tmp_path / "takeover" / "u-turn-12" / "moments.parquet"
-    PartFile(file, "moments", takeover.COLUMNS, {}).write(dense)
+    write_part(file, "moments", takeover.COLUMNS, dense, {})
     page = Page(report.write_report(tmp_path).read_text())
     assert "Skill or caution?" in page.text and "treated agents" in page.text
     lines = skill_or_caution(rows)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cached_property, partial
 from math import nan
 from typing import Any
-
-import pandas as pd
 
 from agents.rules.constant import Constant
 from experiments.backends import make_env
@@ -17,7 +15,6 @@ from experiments.study.compute import batches
 from experiments.study.compute.entrants import Entrant, Env, Made
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.foresight import Driven, batch_of_one, search
-from experiments.study.compute.run import Heartbeat
 from experiments.study.design.attainable import SEARCH
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import task_of
@@ -59,31 +56,24 @@ class Batch(batches.Batch):
         """Name of the driver."""
         return self.driver.name if self.driver else SEARCH
 
-    @property
-    def label(self) -> str:
-        """Setting, traffic, driver and first scenario."""
+    @cached_property
+    def name(self) -> str:
+        """By setting, traffic, driver and first scenario."""
         who = "".join(letter if letter.isalnum() or letter in ".-" else "_" for letter in self.who)
-        return f"{self.task}-{level_names(self.task)[self.level - 1]}-{self.traffic}-{who}-{self.first:04d}"
-
-    @property
-    def key(self) -> dict[str, Any]:
-        """See `batches.Batch`."""
+        where = f"{self.task}-{level_names(self.task)[self.level - 1]}-{self.traffic}"
         own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "directory"}
-        return {**own, "driver": self.who, "digest": self.driver.digest if self.driver else ""}
+        digest = self.driver.digest if self.driver else ""
+        return batches.named(f"{where}-{who}-{self.first:04d}", {**own, "driver": self.who, "digest": digest})
 
     @property
     def episodes(self) -> dict[str, range]:
         """Numbers of the scenarios."""
         return {"scenario": range(self.first, self.first + self.count)}
 
-    def drive(self, heartbeat: Heartbeat) -> pd.DataFrame:
+    def drive(self) -> Iterator[dict[str, Any]]:
         """Drive or search them."""
-        rows = list[dict[str, Any]]()
         drives = [Drive(self.task, self.level, self.traffic, k, PURPOSE) for k in self.episodes["scenario"]]
-        for row in self._driven(drives) if self.driver else self._searched(drives):
-            rows.append(row)
-            heartbeat(len(rows) / self.count)
-        return pd.DataFrame(rows, columns=list(COLUMNS))
+        return self._driven(drives) if self.driver else self._searched(drives)
 
     def _driven(self, drives: list[Drive]) -> Iterator[dict[str, Any]]:
         assert self.driver

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
-import pandas as pd
-
 from agents.policies import Policy
 from experiments.backends import make_env
 from experiments.study.compute import batches
 from experiments.study.compute.entrants import Entrant
-from experiments.study.compute.run import Heartbeat
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.levels import level_config
 from experiments.study.design.sheet import task_of
@@ -111,15 +109,11 @@ class Batch(batches.Batch):
     number: int
     columns = COLUMNS
 
-    @property
-    def label(self) -> str:
-        """Part and number."""
-        return f"{self.part}-{self.number:04d}"
-
-    @property
-    def key(self) -> dict[str, Any]:
-        """That of the question, and which episodes."""
-        return {**self.question.key, "components": self.components, "rounds": self.rounds}
+    @cached_property
+    def name(self) -> str:
+        """By part and number."""
+        key = {**self.question.key, "components": self.components, "rounds": self.rounds}
+        return batches.named(f"{self.part}-{self.number:04d}", key)
 
     @cached_property
     def each(self) -> list[tuple[float, float, int]]:
@@ -136,12 +130,10 @@ class Batch(batches.Batch):
         """Their base, level and seed."""
         return dict(zip(("base", "level", "seed"), zip(*self.each, strict=True), strict=True))
 
-    def drive(self, heartbeat: Heartbeat) -> pd.DataFrame:
+    def drive(self) -> Iterator[dict[str, Any]]:
         """Drive them."""
-        asked, rows = self.question, []
+        asked = self.question
         with closing(make_env("sumo", task_of(asked.task), asked.config)) as env:
             seen, policy = asked.driver.make(env)
-            for done, episode in enumerate(self.each):
-                rows.append(asked.play(seen, policy, *episode))
-                heartbeat(done / len(self.each))
-        return pd.DataFrame(rows)
+            for episode in self.each:
+                yield asked.play(seen, policy, *episode)

@@ -12,17 +12,16 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import gymnasium as gym
-import pandas as pd
 
 from agents.rules import DRIVERS
 from experiments.backends import make_env
 from experiments.study.compute import batches
 from experiments.study.compute.entrants import Entrant
 from experiments.study.compute.evaluate import Drive
-from experiments.study.compute.run import Heartbeat
 from experiments.study.compute.wrappers import UnseenRisk
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.levels import level_names
@@ -301,15 +300,11 @@ class Batch(batches.Batch):
     count: int
     columns = COLUMNS
 
-    @property
-    def label(self) -> str:
-        """Traffic, pair and first scenario."""
-        return f"{self.question.traffic}-{self.pair}-{self.first:04d}"
-
-    @property
-    def key(self) -> dict[str, Any]:
-        """That of the question, and how many scenarios."""
-        return {**self.question.key, "count": self.count}
+    @cached_property
+    def name(self) -> str:
+        """By traffic, pair and first scenario."""
+        key = {**self.question.key, "count": self.count}
+        return batches.named(f"{self.question.traffic}-{self.pair}-{self.first:04d}", key)
 
     @property
     def each(self) -> list[tuple[int, str]]:
@@ -323,15 +318,13 @@ class Batch(batches.Batch):
         rows = [(*episode, bound) for episode in self.each for bound in self.question.bounds]
         return {name: [row[k] for row in rows] for k, name in enumerate(("scenario", "leader", "within"))}
 
-    def drive(self, heartbeat: Heartbeat) -> pd.DataFrame:
+    def drive(self) -> Iterator[dict[str, Any]]:
         """Drive them."""
-        asked, rows, each = self.question, [], self.each
+        asked = self.question
         about = {"task": asked.task, "level": asked.level, "traffic": asked.traffic, "pair": self.pair}
         with closing(asked.open()) as env:
             drivers = {name: Driver(entrant, env) for name, entrant in asked.drivers.items()}
-            for done, (scenario, leader) in enumerate(each):
+            for scenario, leader in self.each:
                 reset, seed = asked.reset(scenario), asked.seed(scenario)
                 for row in compared(env, drivers, leader, reset, seed, asked.bounds):
-                    rows.append({**about, "scenario": scenario, **row})
-                heartbeat(done / len(each))
-        return pd.DataFrame(rows, columns=list(COLUMNS))
+                    yield {**about, "scenario": scenario, **row}

@@ -1,12 +1,11 @@
-"""A file of episodes that is no cell: a batch of rare.py, or a part of validate.py.
+"""Files of episodes that are no cells: batches, and the record of takeover.py.
 
-As a cell it is written whole or not at all, and never believed once a byte of it has changed (`parquet`).
+As a cell such a file is written whole or not at all, and never believed once a byte of it has changed (`parquet`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,54 +23,46 @@ class DamagedEpisodes(Damaged):
     remedy = "run the same command again, which drives its episodes again"
 
 
-@dataclass(frozen=True)
-class PartFile:
-    """Where the episodes of a task are stored, and which.
+def read_part(
+    path: Path, name: str, columns: Mapping[str, str], episodes: Mapping[str, Sequence[Any]]
+) -> pd.DataFrame:
+    """The episodes in a file. Raises DamagedEpisodes.
 
-    name: of what is computed, which the file has to have too. columns: by name the type, as in `schema.schema_of`; of
-    those of "float32" and "float64" values may be missing. episodes: in these columns the values of each row, in order.
+    Args:
+        name: of what is computed, which the file has to have too.
+        columns: by name the type, as in `schema.schema_of`; of those of "float32" and "float64" values may be missing.
+        episodes: in these columns the values of each row, in order.
     """
 
-    path: Path
-    name: str
-    columns: Mapping[str, str]
-    episodes: Mapping[str, Sequence[Any]]
+    def checked(path: Path) -> pd.DataFrame:
+        table, found = unpacked(path, _schema(columns))
+        if found != name:
+            raise ValueError(f"its content is that of {found}")
+        return _expected(table, episodes).to_pandas()
 
-    @property
-    def _schema(self) -> pa.Schema:
-        return schema_of(self.columns, [name for name, kind in self.columns.items() if "float" in kind])
+    return asked_of(path, checked, DamagedEpisodes)
 
-    def done(self) -> bool:
-        """Whether it is stored; one that is damaged is named, and its episodes are to be driven again."""
-        if not self.path.exists():
-            return False
-        try:
-            self.read()
-        except DamagedEpisodes as error:
-            print(f"{self.path} is damaged ({error.reason}): its episodes are driven again", flush=True)
-            return False
-        return True
 
-    def read(self) -> pd.DataFrame:
-        """The episodes. Raises DamagedEpisodes."""
+def write_part(
+    path: Path,
+    name: str,
+    columns: Mapping[str, str],
+    rows: pd.DataFrame,
+    episodes: Mapping[str, Sequence[Any]],
+) -> None:
+    """Store episodes. Raises ValueError where they are not those that a reader takes; OSError."""
+    table = _expected(as_table(rows, _schema(columns)), episodes)
+    made(path.parent)
+    write_file(path, packed(table, name))
 
-        def checked(path: Path) -> pd.DataFrame:
-            table, name = unpacked(path, self._schema)
-            if name != self.name:
-                raise ValueError(f"its content is that of {name}")
-            return self._expected(table).to_pandas()
 
-        return asked_of(self.path, checked, DamagedEpisodes)
+def _schema(columns: Mapping[str, str]) -> pa.Schema:
+    return schema_of(columns, [name for name, kind in columns.items() if "float" in kind])
 
-    def write(self, rows: pd.DataFrame) -> None:
-        """Store the episodes. Raises ValueError where they are not those that a reader takes; OSError."""
-        table = self._expected(as_table(rows, self._schema))
-        made(self.path.parent)
-        write_file(self.path, packed(table, self.name))
 
-    def _expected(self, table: pa.Table) -> pa.Table:
-        """The rows, which are those of the episodes, or it raises ValueError."""
-        for column, values in self.episodes.items():
-            if table[column].to_pylist() != list(values):
-                raise ValueError(f"its episodes are not those that are asked for: look at {column}")
-        return table
+def _expected(table: pa.Table, episodes: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """The rows, which are those of the episodes, or it raises ValueError."""
+    for column, values in episodes.items():
+        if table[column].to_pylist() != list(values):
+            raise ValueError(f"its episodes are not those that are asked for: look at {column}")
+    return table

@@ -19,8 +19,8 @@ SUMO = Engine("sumo", "sumo")
 
 
 def test_every_scenario_is_driven_by_every_ego() -> None:
-    part = Part(SUMO, "u-turn", 1, "regular", range(3))
-    assert part.episodes() == [(scenario, ego) for scenario in range(3) for ego in egos("u-turn")]
+    part = Part(Path(), SUMO, "u-turn", 1, "regular", range(3))
+    assert part.each() == [(scenario, ego) for scenario in range(3) for ego in egos("u-turn")]
     assert "faster" not in egos("intersection")  # which is idle there
     assert set(CORE) - {"faster"} <= set(egos("two-way"))
 
@@ -30,7 +30,7 @@ def test_published_agents_drive_where_there_are_some() -> None:
     agents = Engine("sumo", "sumo", egos=episodes.AGENTS)
     planned = plan([agents], {"u-turn": [1, 2], "merge": [1]}, ["regular"], range(2))
     assert [(part.task, part.level) for part in planned] == [("u-turn", 1)]
-    table = planned[0].drive()
+    table = planned[0].rows()
     assert table["ego"].tolist() == [*episodes.AGENTS] * 2
     env = make_env("sumo", "u-turn", pretrained.card("u-turn-3", "control")["config"])
     row = play(env, pretrained.load("u-turn-3", "control"), Drive("u-turn", 1, "regular", 1))
@@ -39,8 +39,10 @@ def test_published_agents_drive_where_there_are_some() -> None:
 
 def test_a_random_part_is_the_same_however_it_is_divided() -> None:
     few = Engine("few", "sumo", one_in=20)
-    whole = Part(few, "u-turn", 1, "regular", range(200)).episodes()
-    halves = [Part(few, "u-turn", 1, "regular", part).episodes() for part in (range(100), range(100, 200))]
+    whole = Part(Path(), few, "u-turn", 1, "regular", range(200)).each()
+    halves = [
+        Part(Path(), few, "u-turn", 1, "regular", part).each() for part in (range(100), range(100, 200))
+    ]
     assert whole == halves[0] + halves[1]
     assert 0.02 < len(whole) / (200 * len(egos("u-turn"))) < 0.08
 
@@ -63,10 +65,10 @@ def test_other_dynamics_or_settings_are_other_files(monkeypatch: pytest.MonkeyPa
         Engine("sumo", "sumo", one_in=2),
         Engine("sumo", "replica"),
     ]
-    files = {Part(engine, "u-turn", 1, "regular", range(3)).name for engine in [SUMO, *others]}
+    files = {Part(Path(), engine, "u-turn", 1, "regular", range(3)).name for engine in [SUMO, *others]}
     assert len(files) == 1 + len(others)
     monkeypatch.setattr(episodes, "dynamics", lambda *_: "other")
-    assert Part(SUMO, "u-turn", 1, "regular", range(3)).name not in files
+    assert Part(Path(), SUMO, "u-turn", 1, "regular", range(3)).name not in files
 
 
 def test_the_traffic_is_that_of_the_others_near_the_ego() -> None:
@@ -83,7 +85,9 @@ def test_the_traffic_is_that_of_the_others_near_the_ego() -> None:
 
 
 def test_episodes_are_measured() -> None:
-    table = Part(Engine("sumo", "sumo", egos=("idle", "careful")), "u-turn", 2, "risky", range(3)).drive()
+    table = Part(
+        Path(), Engine("sumo", "sumo", egos=("idle", "careful")), "u-turn", 2, "risky", range(3)
+    ).rows()
     assert list(table.columns) == list(COLUMNS)
     assert len(table) == 6
     assert ((table["outcome"] == "crashed") == table["crashed"]).all()
@@ -95,7 +99,7 @@ def test_episodes_are_measured() -> None:
 def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
     def table(**changes):
         engine = Engine("sumo", "sumo", egos=("idle",), **changes)
-        return Part(engine, "u-turn", 1, "risky", range(4)).drive()
+        return Part(Path(), engine, "u-turn", 1, "risky", range(4)).rows()
 
     present = table()
     quiet = table(options={"risk_rates": {"cut_in": 0.0, "brake": 0.0, "surge": 0.0}})

@@ -164,40 +164,35 @@ def time_to_crash(env: Env, action: int, seconds: float) -> float:
     return math.inf
 
 
-class Led(NamedTuple):
-    """An episode that one driver has led, until there was a first critical moment for each bound, or to its end.
+def lead(
+    env: Env, driver: Driver, reset: Mapping[str, Any], seed: int, bounds: Sequence[float]
+) -> tuple[dict[float, Moment], Moment]:
+    """Drive an episode until there was a first critical moment for each bound, or to its end.
 
-    moments: by bound. km: driven. crashed: whether it ended so.
+    Args:
+        reset: arguments of `env.reset`. seed: of the driver's own draws.
+
+    Returns:
+        The moments by bound, and where the leader stopped.
     """
-
-    moments: dict[float, Moment]
-    km: float
-    crashed: bool
-
-
-def lead(env: Env, driver: Driver, reset: Mapping[str, Any], seed: int, bounds: Sequence[float]) -> Led:
-    """Drive an episode. reset: arguments of `env.reset`. seed: of the driver's own draws."""
     inner: Any = env.unwrapped
     [idle] = [number for number, name in inner.actions.items() if name == "IDLE"]
-    past: list[Any] = [env.reset(**reset)]
-    driver.begin(env, past[0], seed)
-    actions: list[int] = []
-    moments: dict[float, Moment] = {}
-    way, crashed, over = 0.0, False, False
+    here, moments, over = Moment(inner, [env.reset(**reset)], [], 0.0), dict[float, Moment](), False
+    driver.begin(env, here.past[0], seed)
     while not over:
-        actions.append(driver.act())
-        past.append(env.step(actions[-1]))
-        driver.watch(actions[-1], past[-1])
-        _, _, terminated, truncated, info = past[-1]
-        way, crashed, over = way + info["distance"] / 1000.0, bool(info["crashed"]), terminated or truncated
+        action = driver.act()
+        result: Any = env.step(action)
+        driver.watch(action, result)
+        _, _, terminated, truncated, info = result
+        km, over = here.km + info["distance"] / 1000.0, terminated or truncated
+        here = Moment(inner, [*here.past, result], [*here.actions, action], km)
         if not over:
             missing = [bound for bound in bounds if bound not in moments]
             doom = time_to_crash(inner, idle, max(missing))
             if found := [bound for bound in missing if doom <= bound]:
-                here = Moment(copy.deepcopy(inner), past.copy(), actions.copy(), way)
-                moments |= dict.fromkeys(found, here)
+                moments |= dict.fromkeys(found, here._replace(env=copy.deepcopy(inner)))
                 over = len(moments) == len(bounds)
-    return Led(moments, way, crashed)
+    return moments, here
 
 
 def compared(
@@ -214,18 +209,13 @@ def compared(
         drivers: by their names in COLUMNS. leader: one of them.
         reset: arguments of `env.reset`. seed: of all drivers' own draws.
     """
-    led = lead(env, drivers[leader], reset, seed, bounds)
-    endings: dict[int, dict[str, float]] = {}  # bounds may have one moment
+    moments, end = lead(env, drivers[leader], reset, seed, bounds)
+    endings = {key: _endings(drivers, one, seed) for key, one in {id(m): m for m in moments.values()}.items()}
     for bound in bounds:
         row: dict[str, Any] = {"leader": leader, "within": bound}
-        if (moment := led.moments.get(bound)) is None:
-            yield {**row, "km": led.km, "sudden": led.crashed, "actions": ""}
+        if (moment := moments.get(bound)) is None:
+            yield {**row, "km": end.km, "sudden": bool(end.past[-1][-1]["crashed"]), "actions": ""}
             continue
-        if id(moment) not in endings:
-            endings[id(moment)] = {
-                f"crash_{name}": in_a_copy(driver, moment, seed, math.inf if name in PAIR else WINDOW)
-                for name, driver in drivers.items()
-            }
         yield {
             **row,
             **endings[id(moment)],
@@ -235,14 +225,17 @@ def compared(
             "sudden": False,
             "actions": "".join(map(str, moment.actions)),
         }
-    for moment in led.moments.values():
-        moment.env.close()
 
 
-def in_a_copy(driver: Driver, moment: Moment, seed: int, seconds: float) -> float:
-    """`Driver.go_on` in a copy of the moment's environment."""
-    with closing(copy.deepcopy(moment.env)) as twin:
-        return driver.go_on(moment._replace(env=twin), seed, seconds)
+def _endings(drivers: Mapping[str, Driver], moment: Moment, seed: int) -> dict[str, float]:
+    """When each driver crashes that goes on in a copy; the moment's own environment is closed."""
+    found = {}
+    with closing(moment.env) as there:
+        for name, driver in drivers.items():
+            with closing(copy.deepcopy(there)) as twin:
+                seconds = math.inf if name in PAIR else WINDOW
+                found[f"crash_{name}"] = driver.go_on(moment._replace(env=twin), seed, seconds)
+    return found
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-import matplotlib
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -109,7 +108,7 @@ def _looks(drivers: list[str], own: str) -> dict[str, dict[str, Any]]:
     return found
 
 
-@figures.styled
+@figures.larger
 def card_figure(cards: Cards, sets: Mapping[str, str], own: str = "") -> str | None:
     """Crash rate against speed, a panel for each task: lines lead from regular to risky traffic, where the marks are.
 
@@ -125,22 +124,19 @@ def card_figure(cards: Cards, sets: Mapping[str, str], own: str = "") -> str | N
         return None
     tasks = list(dict.fromkeys(task for task, _ in driven))
     looks = _looks(list(dict.fromkeys(driver for _, driver in driven)), own)
-    with matplotlib.rc_context(figures.LARGER):  # so that it can be read on a telephone
-        figure, panels, holder = _panels(len(tasks))
-        for task, driver in driven:
-            both = [rows[task, driver, traffic] for traffic in ("regular", "risky")]
-            _drive(panels[tasks.index(task)], both, looks[driver], bars=driver == own)
-        for task, panel in zip(tasks, panels, strict=False):
-            panel.set_title(task)
-            panel.xaxis.set_major_locator(MaxNLocator(4, integer=True))
-            figures.share_axis(panel)
-        handles = [Line2D([], [], label=name, **look) for name, look in looks.items()]
-        holder(handles=handles, title="a line begins in regular traffic,\nits mark is in risky traffic")
-        figure.supxlabel("mean speed [m/s]", fontsize=11)
-        figure.supylabel("episodes with a crash", fontsize=11)
-        return figures.to_svg(
-            figure, "card", "Crash rate against speed by task, from regular to risky traffic"
-        )
+    figure, panels, holder = _panels(len(tasks))
+    for task, driver in driven:
+        both = [rows[task, driver, traffic] for traffic in ("regular", "risky")]
+        _drive(panels[tasks.index(task)], both, looks[driver], bars=driver == own)
+    for task, panel in zip(tasks, panels, strict=False):
+        panel.set_title(task)
+        panel.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+        figures.share_axis(panel)
+    handles = [Line2D([], [], label=name, **look) for name, look in looks.items()]
+    holder(handles=handles, title="a line begins in regular traffic,\nits mark is in risky traffic")
+    figure.supxlabel("mean speed [m/s]", fontsize=11)
+    figure.supylabel("episodes with a crash", fontsize=11)
+    return figures.to_svg(figure, "card", "Crash rate against speed by task, from regular to risky traffic")
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes], Callable[..., Any]]:

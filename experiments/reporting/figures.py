@@ -63,6 +63,10 @@ STYLE: Any = {
 }  # fmt: skip
 # Whatever the user's own settings are, a function of this module draws in the report's style.
 styled = matplotlib.style.context(["default", STYLE])
+# The same, so that it can be read on a telephone.
+LARGER: Any = {"font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "xtick.labelsize": 10}
+LARGER |= {"ytick.labelsize": 10, "legend.fontsize": 10}
+larger = matplotlib.style.context(["default", STYLE | LARGER])
 MARKS = {
     "idle": "o",
     "slower": "v",
@@ -183,18 +187,17 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
     return to_svg(figure, f"{backend}-traffic", "Crash rate against traffic level, by task and policy")
 
 
-LARGER: Any = {"font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "xtick.labelsize": 10}
-LARGER |= {"ytick.labelsize": 10, "legend.fontsize": 10}
+TREATED = ("control agents", "treated agents")
 BESIDE = {"sumo": "SUMO's driver", "planner": "planner", "slower": "always SLOWER"}  # agents, and their names
 # Where the name of a task stands beside its control agents [points], and its alignment.
 NAMES = {"roundabout": (9, 1, "left"), "two-way": (7, 3, "left"), "u-turn": (-4, 9, "right")}
 
 
-@styled
+@larger
 def crashes_against_speed(
     drivers: pd.DataFrame,
     name: str,
-    leads: tuple[str, str] = ("control agents", "treated agents"),
+    leads: tuple[str, str] = TREATED,
     names: Mapping[str, tuple[int, int, str]] = NAMES,
 ) -> str:
     """Crash rate against speed, an arrow from control to treated agents for each task, one panel for each traffic.
@@ -202,53 +205,60 @@ def crashes_against_speed(
     drivers: of `analysis.drivers`, one setting of each task, with both arms. name: of the figure's ids. leads: what is
     drawn as the two arms. names: as NAMES.
     """
-    with matplotlib.rc_context(LARGER):  # so that it can be read on a telephone
-        figure = Figure(figsize=(6.5, 4.6), layout="constrained")
-        panels = figure.subplots(1, len(TRAFFICS), sharex=True, sharey=True)
-        for panel, traffic in zip(panels, TRAFFICS, strict=True):
-            for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
-                _task(panel, str(task), own.set_index("driver"), "mean_speed", 30.0, names)
-            panel.set(title=f"in {traffic} traffic", xlim=(0, 33), xticks=[0, 10, 20, 30])
-            share_axis(panel)
-        panels[0].set_ylabel("episodes with a crash")
-        figure.supxlabel("mean speed [m/s]", fontsize=11)
-        marks = [(leads[0], "o", PAPER), (leads[1], "o", INK)]
-        marks += [
-            (words, MARKS[who], "none") for who, words in BESIDE.items() if who in set(drivers["driver"])
-        ]
-        handles = [Line2D([], [], color=INK, ls="", marker=m, mfc=c, label=words) for words, m, c in marks]
-        figure.legend(handles=handles, loc="outside upper center", ncols=3, handletextpad=0.1)
-        return to_svg(figure, f"{name}-speed", f"Crash rate against speed, from {leads[0]} to {leads[1]}")
+    figure, panels = _arrows(drivers, 4.6, "mean_speed", 30.0, leads, names)
+    for panel in panels:
+        panel.set(xlim=(0, 33), xticks=[0, 10, 20, 30])
+    panels[0].set_ylabel("episodes with a crash")
+    figure.supxlabel("mean speed [m/s]", fontsize=11)
+    return to_svg(figure, f"{name}-speed", f"Crash rate against speed, from {leads[0]} to {leads[1]}")
 
 
-@styled
+@larger
 def crashes_against_danger(drivers: pd.DataFrame) -> str:
     """Crashes from critical moments against episodes in danger, an arrow from control to treated agents for each task.
 
     drivers: a row a task, traffic and driver (an arm), with the columns of `analysis.takeover.overall`.
     """
-    with matplotlib.rc_context(LARGER):
-        figure = Figure(figsize=(6.5, 4.3), layout="constrained")
-        panels = figure.subplots(1, len(TRAFFICS), sharex=True, sharey=True)
-        for panel, traffic in zip(panels, TRAFFICS, strict=True):
-            for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
-                _task(panel, str(task), own.set_index("driver"), "danger", 1.0)
-            panel.set(title=f"in {traffic} traffic", xlim=(-0.04, 1.2), xticks=[0, 0.5, 1])
-            panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-            share_axis(panel)
-        panels[0].set_ylabel("critical moments that end in a crash")
-        figure.supxlabel("episodes in danger", fontsize=11)
-        marks = [("control agents", PAPER), ("treated agents", INK)]
-        handles = [
-            Line2D([], [], color=INK, ls="", marker="o", mfc=fill, label=words) for words, fill in marks
-        ]
-        figure.legend(handles=handles, loc="outside upper center", ncols=2, handletextpad=0.1)
-        words = "Crashes from critical moments against episodes in danger, from control to treated agents, by task"
-        return to_svg(figure, "danger", words)
+    figure, panels = _arrows(drivers, 4.3, "danger", 1.0)
+    for panel in panels:
+        panel.set(xlim=(-0.04, 1.2), xticks=[0, 0.5, 1])
+        panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
+    panels[0].set_ylabel("critical moments that end in a crash")
+    figure.supxlabel("episodes in danger", fontsize=11)
+    words = (
+        "Crashes from critical moments against episodes in danger, from control to treated agents, by task"
+    )
+    return to_svg(figure, "danger", words)
+
+
+def _arrows(
+    drivers: pd.DataFrame,
+    height: float,
+    x: str,
+    span: float,
+    leads: tuple[str, str] = TREATED,
+    names: Mapping[str, Any] = NAMES,
+) -> tuple[Figure, Any]:
+    """A figure with a panel for each traffic, in which an arrow of each task leads from control to treated agents.
+
+    x: the horizontal outcome, and its span. leads, names: as of `crashes_against_speed`.
+    """
+    figure = Figure(figsize=(6.5, height), layout="constrained")
+    panels = figure.subplots(1, len(TRAFFICS), sharex=True, sharey=True)
+    for panel, traffic in zip(panels, TRAFFICS, strict=True):
+        for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
+            _task(panel, str(task), own.set_index("driver"), x, span, names)
+        panel.set_title(f"in {traffic} traffic")
+        share_axis(panel)
+    marks = [(leads[0], "o", PAPER), (leads[1], "o", INK)]
+    marks += [(words, MARKS[who], "none") for who, words in BESIDE.items() if who in set(drivers["driver"])]
+    handles = [Line2D([], [], color=INK, ls="", marker=m, mfc=c, label=words) for words, m, c in marks]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, handletextpad=0.1)
+    return figure, panels
 
 
 def _task(
-    panel: Axes, task: str, drivers: pd.DataFrame, x: str, span: float, names: Mapping[str, Any] = NAMES
+    panel: Axes, task: str, drivers: pd.DataFrame, x: str, span: float, names: Mapping[str, Any]
 ) -> None:
     """The drivers of a task in one traffic, by name. x: the horizontal outcome, and its span. names: as NAMES."""
     colour = TASKS.get(task, INK)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -92,11 +92,10 @@ def computed(results: Results) -> dict[str, Any]:
 
 
 def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
-    """All that is shown of one simulator; `mean` finds the mean of an effect over settings."""
+    """All that is shown of one simulator."""
     return {
         "name": BACKENDS.get(name, name),
         "key": name,
-        "mean": partial(mean, analysis, name),
         **answer(name, analysis),
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
@@ -109,22 +108,10 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def mean(
-    analysis: Analysis,
-    backend: str,
-    outcome: str,
-    term: str,
-    arm: str = "treatment",
-    against: str = "control",
-) -> dict[str, Any]:
-    """A row of the analysis' means over all tasks, or nothing."""
-    rows = chosen(main(analysis.means, backend, arm, against), outcome=outcome, term=term, scope=ALL_TASKS)
-    return dict(rows.iloc[0]) if len(rows) else {}
-
-
 def answer(name: str, analysis: Analysis) -> dict[str, Any]:
     """What holds in which task and where, how many settings are on which side, and what limits it."""
-    risky = mean(analysis, name, "crashed", "risky")
+    means = chosen(main(analysis.means, name), outcome="crashed", term="risky", scope=ALL_TASKS)
+    risky = dict(means.iloc[0]) if len(means) else {}
     single = chosen(main(analysis.effects, name), outcome="crashed", term=list(TRAFFICS))
     asked = by_task.places(analysis, name)
     plan = plan_of(analysis.provenance["presets"])

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from itertools import cycle
 from typing import Any
 
-import matplotlib
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -15,9 +14,8 @@ from experiments.reporting.figures import (
     CAREFUL,
     COLOURS,
     INK,
-    LARGER,
     MUTED,
-    styled,
+    larger,
     to_svg,
 )
 
@@ -38,8 +36,7 @@ ROADS = {  # events per vehicle and hour of driving, and their mark (docs/traffi
 }
 
 
-@styled
-@matplotlib.rc_context(LARGER)  # so that it can be read on a telephone
+@larger
 def rare_figure(curves: Mapping[str, pd.DataFrame], title: str) -> str:
     """Crashes per episode of each policy against the rate of events, on logarithmic axes, with ROADS as marks on one.
 

@@ -82,6 +82,11 @@ def difference(row: Mapping[str, Any]) -> str:
     return " ".join(filter(None, [points(row["estimate"], "crashed"), "points", interval(row, "crashed")]))
 
 
+def pair(row: Mapping[str, Any], outcome: str | Outcome) -> str:
+    """A mean effect's "12.5 % → 10.0 %", from who is compared with to the arm."""
+    return " → ".join(number(row[side], outcome) for side in ("mean_against", "mean_arm"))
+
+
 def p_value(p: float | None) -> str:
     """A p-value with as many digits as matter."""
     if p is None or np.isnan(p):
@@ -129,12 +134,12 @@ def with_setting(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def rates(row: Mapping[str, Any]) -> dict[str, str]:
-    """A mean effect as cells: from who is compared with to the arm, and the difference in the crash rate."""
-    pair = " → ".join(number(row[side], row["outcome"]) for side in ("mean_against", "mean_arm"))
+    """A mean effect as cells: `pair`, and the difference in the crash rate."""
+    both = pair(row, row["outcome"])
     if row["outcome"] != "crashed":
-        return {f"m/s in {row['term']} traffic": pair}
+        return {f"m/s in {row['term']} traffic": both}
     second = " " * (row["term"] == "regular")  # two columns of one name
-    return {f"crashes in {row['term']} traffic": pair, f"difference{second}": effect(row)}
+    return {f"crashes in {row['term']} traffic": both, f"difference{second}": effect(row)}
 
 
 def careful(analysis: Analysis, backend: str) -> pd.DataFrame:
@@ -157,8 +162,7 @@ def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
     def cells(row: Mapping[str, Any]) -> dict[str, str]:
         title = TERMS.get(row["term"], row["term"])
         if row["outcome"] == "score":
-            both = " → ".join(number(row[side], "score") for side in ("mean_against", "mean_arm"))
-            return {f"score, {title}": both} if row["term"] in TRAFFICS else {}
+            return {f"score, {title}": pair(row, "score")} if row["term"] in TRAFFICS else {}
         tested = {f"{title}, p (Holm)": p_value(row["p_adjusted"])} if row["family"] else {}
         agents = f"{row['seeds_arm']}, {row['seeds_against']}"
         return {title: effect(row, outcome), **tested, "agents": agents}
@@ -174,8 +178,7 @@ def own(analysis: Analysis, backend: str, outcomes: Mapping[str, Outcome]) -> pd
 
     def cells(row: Mapping[str, Any]) -> dict[str, str]:
         kind = outcomes[row["outcome"]]
-        pair = " → ".join(number(row[side], kind) for side in ("mean_against", "mean_arm"))
-        return {f"{row['term']} traffic": pair, f"difference, {row['term']}": effect(row, kind)}
+        return {f"{row['term']} traffic": pair(row, kind), f"difference, {row['term']}": effect(row, kind)}
 
     titles = {name: titled(one) for name, one in outcomes.items()}
     return (

@@ -15,6 +15,7 @@ from experiments.reporting.figures import (
     INK,
     MUTED,
     PAPER,
+    TREATED,
     TREATMENT,
     crashes_against_danger,
     new_figure,
@@ -29,7 +30,6 @@ from experiments.study.results.part import read_part
 
 RECORDS = "takeover/*/moments.parquet"  # of experiments/takeover.py, in a study's folder
 ARM_OF = dict(zip(PAIR, ARMS, strict=True))
-TREATED = ("control agents", "treated agents")
 SIDES = dict(zip(("less", "more"), TREATED, strict=True))
 COLOURS = dict(zip(PAIR, (CONTROL, TREATMENT), strict=True))
 SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.reporting.figures import GRID, INK, LARGER, MUTED, TASKS, TREATMENT, styled, to_svg
+from experiments.reporting.figures import GRID, INK, MUTED, TASKS, TREATMENT, larger, to_svg
 from experiments.validation.checks import MARGINS
 
 # Panels: metrics, title with the margin, whether values are shares of the return's range, and whether the margin is a
@@ -21,7 +21,7 @@ SCATTERS = (
 WIDEST, BARS = 1.5, 15  # of the histogram, in margins, and its bars
 
 
-@styled
+@larger
 def validation_figure(checks: pd.DataFrame) -> str:
     """SUMO against highway-env with the margins, and how far all checks are from them.
 
@@ -29,7 +29,7 @@ def validation_figure(checks: pd.DataFrame) -> str:
     """
     rows = checks[checks["metric"] != "order"]
     scale = rows["margin"] / MARGINS["return"][0]
-    with matplotlib.rc_context({**LARGER, "axes.titlesize": 10}):
+    with matplotlib.rc_context({"axes.titlesize": 10}):
         figure = Figure(figsize=(6.5, 6.2), layout="constrained")
         *scatters, whole = figure.subplots(2, 2).ravel()
         for panel, (metrics, title, of_range, relative) in zip(scatters, SCATTERS, strict=True):

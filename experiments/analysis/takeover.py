@@ -68,20 +68,19 @@ def answers(rows: pd.DataFrame) -> pd.DataFrame:
     return frame.astype({**dict.fromkeys(Estimate._fields, "float64"), "status": "str"})
 
 
-def of_tasks(rows: pd.DataFrame, size: int = FAMILY) -> pd.DataFrame:
+def of_tasks(rows: pd.DataFrame) -> pd.DataFrame:
     """The answers in every task and traffic, from a record of several tasks and of one bound.
 
-    size: of the family of answers to the two questions themselves; those that are not there count as undecided.
-
     Returns:
-        As `answers`, with task and traffic, and p_holm of the two questions: p adjusted by Holm's procedure.
+        As `answers`, with task and traffic, and p_holm of the two questions: p adjusted by Holm's procedure over
+        FAMILY, of which those that are not there count as undecided.
     """
     by = ["task", "traffic"]
     each = {at: answers(part) for at, part in rows.groupby(by, sort=False)}
     found = pd.concat(each, names=by).reset_index(level=by).reset_index(drop=True)
     asked = found["question"].isin([CAUTION, SKILL])
     p = found.loc[asked, "p"].fillna(1.0)
-    found.loc[asked, "p_holm"] = estimate.adjusted([*p, *[1.0] * (size - len(p))])[: len(p)]
+    found.loc[asked, "p_holm"] = estimate.adjusted([*p, *[1.0] * (FAMILY - len(p))])[: len(p)]
     return found
 
 

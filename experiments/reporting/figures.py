@@ -106,10 +106,15 @@ def alone(svg: str) -> str:
     return svg.replace(">", f"><style>{style}</style>", 1) + "\n"
 
 
+def share(value: float, _: object) -> str:
+    """A share as axes show it."""
+    return f"{100 * value:.0f} %"
+
+
 def share_axis(axes: Axes) -> None:
     """A crash rate on the vertical axis."""
     axes.set_ylim(-0.04, 1.04)
-    axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
+    axes.yaxis.set_major_formatter(share)
 
 
 def mark_of(policy: str) -> dict[str, Any]:
@@ -205,7 +210,7 @@ def crashes_against_speed(
     drivers: of `analysis.drivers`, one setting of each task, with both arms. name: of the figure's ids. leads: what is
     drawn as the two arms. names: as NAMES.
     """
-    figure, panels = _arrows(drivers, 4.6, "mean_speed", 30.0, leads, names)
+    figure, panels = arrows(drivers, 4.6, "mean_speed", 30.0, leads, names)
     for panel in panels:
         panel.set(xlim=(0, 33), xticks=[0, 10, 20, 30])
     panels[0].set_ylabel("episodes with a crash")
@@ -213,25 +218,7 @@ def crashes_against_speed(
     return to_svg(figure, f"{name}-speed", f"Crash rate against speed, from {leads[0]} to {leads[1]}")
 
 
-@larger
-def crashes_against_danger(drivers: pd.DataFrame) -> str:
-    """Crashes from critical moments against episodes in danger, an arrow from control to treated agents for each task.
-
-    drivers: a row a task, traffic and driver (an arm), with the columns of `analysis.takeover.overall`.
-    """
-    figure, panels = _arrows(drivers, 4.3, "danger", 1.0)
-    for panel in panels:
-        panel.set(xlim=(-0.04, 1.2), xticks=[0, 0.5, 1])
-        panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-    panels[0].set_ylabel("critical moments that end in a crash")
-    figure.supxlabel("episodes in danger", fontsize=11)
-    words = (
-        "Crashes from critical moments against episodes in danger, from control to treated agents, by task"
-    )
-    return to_svg(figure, "danger", words)
-
-
-def _arrows(
+def arrows(
     drivers: pd.DataFrame,
     height: float,
     x: str,

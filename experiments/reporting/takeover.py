@@ -17,8 +17,10 @@ from experiments.reporting.figures import (
     PAPER,
     TREATED,
     TREATMENT,
-    crashes_against_danger,
+    arrows,
+    larger,
     new_figure,
+    share,
     styled,
     to_svg,
 )
@@ -52,12 +54,25 @@ def recorded(directory: Path) -> pd.DataFrame | None:
     return rows if len(rows) else None
 
 
+@larger
 def danger_figure(rows: pd.DataFrame) -> str:
-    """`figures.crashes_against_danger` of a record of several tasks, whose a and b are control and treated agents."""
+    """Crashes from critical moments against episodes in danger, an arrow from control to treated agents for each task.
+
+    rows: a record of several tasks, whose a and b are control and treated agents.
+    """
     by = ["task", "traffic"]
     frames = {at: overall(part) for at, part in rows.groupby(by, sort=False)}
-    each = pd.concat(frames, names=by).reset_index(level=by)
-    return crashes_against_danger(each.replace({"driver": ARM_OF}))
+    each = pd.concat(frames, names=by).reset_index(level=by).replace({"driver": ARM_OF})
+    figure, panels = arrows(each, 4.3, "danger", 1.0)
+    for panel in panels:
+        panel.set(xlim=(-0.04, 1.2), xticks=[0, 0.5, 1])
+        panel.xaxis.set_major_formatter(share)
+    panels[0].set_ylabel("critical moments that end in a crash")
+    figure.supxlabel("episodes in danger", fontsize=11)
+    words = (
+        "Crashes from critical moments against episodes in danger, from control to treated agents, by task"
+    )
+    return to_svg(figure, "danger", words)
 
 
 def skill_or_caution(rows: pd.DataFrame) -> pd.DataFrame:

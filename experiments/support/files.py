@@ -42,12 +42,6 @@ def sha256_bytes(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def sha256_file(path: Path) -> str:
-    """Hexadecimal SHA-256 of the bytes of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def read_json(path: Path) -> Any:
     """The value of a JSON file. Raises OSError, or ValueError."""
     return json.loads(path.read_text(encoding="utf-8"))

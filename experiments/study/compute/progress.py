@@ -25,7 +25,7 @@ WINDOW = 600.0  # [s] of which the speed is taken
 def costs(cell: Cell) -> tuple[float, float]:
     """Expected times of a cell's training and of its tests on one core of a common server [s]."""
     steps, updates = cell.budget
-    update = COMPILED if cell.is_compiled else UPDATE
+    update = COMPILED if cell.kind == "agent" and "numba" in cell.versions else UPDATE
     step = PLANNING if cell.policy in ("planner", "clairvoyant") else STEP[cell.runs_on]
     length = cell.env_config.get("duration", LENGTH)
     return updates * update + steps * STEP[cell.backend], cell.work * length * step

@@ -124,11 +124,6 @@ class Cell:
         return settings.steps, settings.updates
 
     @property
-    def is_compiled(self) -> bool:
-        """Whether its learner's updates are compiled, which take half the time."""
-        return self.kind == "agent" and "numba" in self.versions
-
-    @property
     def episodes(self) -> int:
         """Test episodes in each traffic."""
         return int(self.eval["episodes"])

@@ -125,7 +125,7 @@ def _records(path: Path, *state: int) -> dict[str, dict[str, Any]]:
 @lru_cache(8)
 def _frames(path: Path, *state: int) -> dict[str, dict[str, pd.DataFrame]]:
     found = _records(path, *state)
-    rows = check_table(read(path), found)
+    rows = check_table(unpacked(path, SCHEMA)[0], found)
     return {
         name: {
             file: rows[name, purpose].drop(columns=["cell", "purpose"]).reset_index(drop=True)
@@ -134,11 +134,6 @@ def _frames(path: Path, *state: int) -> dict[str, dict[str, pd.DataFrame]]:
         }
         for name in found
     }
-
-
-def read(path: Path) -> pa.Table:
-    """The rows of a file of cells. Raises as `unpacked` does."""
-    return unpacked(path, SCHEMA)[0]
 
 
 def unpacked(path: Path, schema: pa.Schema) -> tuple[pa.Table, str]:

@@ -12,11 +12,9 @@ DIR/sweep.json             what sweeps have asked for
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +22,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from agents.plugins import sha256
 from experiments.study.design.cell import RESULT_SCHEMA, Cell, setting
 from experiments.study.results import parquet
-from experiments.study.results.parquet import DamagedCell, DamagedPart, asked_of
-from experiments.study.results.schema import PURPOSES, TRAINING, WEIGHTS, table_of
+from experiments.study.results.parquet import DamagedCell, DamagedPart, asked_of, unpacked
+from experiments.study.results.schema import PURPOSES, SCHEMA, TRAINING, WEIGHTS, table_of
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
 from experiments.support.files import (
@@ -35,7 +34,6 @@ from experiments.support.files import (
     made,
     read_json,
     sha256_bytes,
-    sha256_file,
     write_file,
     write_json,
 )
@@ -44,13 +42,6 @@ from sumo_env.config import did_you_mean
 SWEEPS = "sweep.json"
 # Where an agent's other files lie.
 BESIDE = {TRAINING: ("training", ".parquet"), WEIGHTS: ("weights", ".npz")}
-
-
-@lru_cache(8)
-def _places(folder: Path, *files: str) -> dict[str, Path]:
-    """The part of each packed cell. A part is written once, so that what is in it follows from its name."""
-    paths = [folder / name for name in files]
-    return {name: path for path in paths for name in asked_of(path, parquet.records, DamagedPart)}
 
 
 class Store:
@@ -80,13 +71,8 @@ class Store:
 
     def _packed(self) -> dict[str, Path]:
         """The part of each packed cell, which can be read. Raises DamagedPart."""
-        files = [self.parts / name for name in self._parts()]
-        return {name: path for path in files for name in asked_of(path, parquet.records, DamagedPart)}
-
-    def _parts(self) -> list[str]:
-        """The names of the files of parts."""
-        there = os.listdir(self.parts) if self.parts.is_dir() else []
-        return sorted(name for name in there if name.endswith(".parquet"))
+        parts = sorted(self.parts.glob("*.parquet"))
+        return {name: path for path in parts for name in asked_of(path, parquet.records, DamagedPart)}
 
     def _find(self, name: str, of: str) -> Any:
         """A cell's part of the "records" or "frames" of the file that it is in. Raises as `record` does."""
@@ -96,8 +82,7 @@ class Store:
             if list(found) != [name]:
                 raise DamagedCell(own, f"its content is that of {', '.join(found)}")
             return found[name]
-        part = _places(self.parts, *self._parts())[name]
-        return asked_of(part, getattr(parquet, of), DamagedPart)[name]
+        return asked_of(self._packed()[name], getattr(parquet, of), DamagedPart)[name]
 
     def record(self, name: str) -> dict[str, Any]:
         """The record of a finished cell. Raises DamagedCell; DamagedPart; KeyError without one."""
@@ -135,7 +120,7 @@ class Store:
         path = self.directory / folder / f"{name}{ending}"
         if not path.exists():
             return None
-        if asked_of(path, sha256_file, DamagedCell) != self.record(name)["files"].get(file):
+        if asked_of(path, sha256, DamagedCell) != self.record(name)["files"].get(file):
             raise DamagedCell(path, "its checksum does not match")
         return path
 
@@ -274,7 +259,7 @@ class Store:
             for part, names in groups.items():
                 if new := [name for name in names if name not in packed]:
                     path = made(self.parts) / f"{part}-{sha256_bytes(' '.join(new).encode())[:8]}.parquet"
-                    rows = pa.concat_tables(parquet.read(self._own(name)) for name in new)
+                    rows = pa.concat_tables(unpacked(self._own(name), SCHEMA)[0] for name in new)
                     write_file(path, parquet.content({name: self.record(name) for name in new}, rows))
                     asked_of(path, parquet.frames, DamagedPart)
                 for name in names:

@@ -15,8 +15,10 @@ import pytest
 
 from experiments.rare import Options, question
 from experiments.study.compute import rare, takeover
+from experiments.study.compute.batches import Batch
 from experiments.study.compute.entrants import entrant_of
 from experiments.study.results.parquet import Damaged, packed
+from experiments.study.results.part import write_part
 from experiments.study.results.schema import EPISODES, GATES
 from experiments.study.results.store import Store
 from experiments.validation import episodes
@@ -44,25 +46,25 @@ def a_cell(folder: Path) -> tuple[Path, Read]:
     ]
 
 
+def written(batch: Batch) -> tuple[Path, Read]:
+    rows = made_up(dict(batch.columns), dict(batch.episodes))
+    write_part(batch.path, batch.name, batch.columns, rows, batch.episodes)
+    return batch.path, lambda: [batch.read()]
+
+
 def a_batch(folder: Path) -> tuple[Path, Read]:
     asked = question(Options(("slower",), "u-turn"), "slower")
-    file = rare.Batch(folder, asked, "pilot", ((0.1, 0.1), (0.1, 1.0)), 10, 0).file
-    file.write(made_up(rare.COLUMNS, dict(file.episodes)))
-    return file.path, lambda: [file.read()]
+    return written(rare.Batch(folder, asked, "pilot", ((0.1, 0.1), (0.1, 1.0)), 10, 0))
 
 
 def moments(folder: Path) -> tuple[Path, Read]:
     drivers = {name: entrant_of(policy, "u-turn", "3") for name, policy in (("a", "slower"), ("b", "sumo"))}
     asked = takeover.Question("u-turn", "3", {}, "risky", drivers, takeover.BOUNDS, "")
-    file = takeover.Batch(folder, asked, 0, 0, 10).file
-    file.write(made_up(takeover.COLUMNS, dict(file.episodes)))
-    return file.path, lambda: [file.read()]
+    return written(takeover.Batch(folder, asked, 0, 0, 10))
 
 
 def a_part(folder: Path) -> tuple[Path, Read]:
-    file = episodes.Part(episodes.Engine("sumo", "sumo"), "u-turn", 1, "risky", range(5), folder).file
-    file.write(made_up(episodes.COLUMNS, dict(file.episodes)))
-    return file.path, lambda: [file.read()]
+    return written(episodes.Part(folder, episodes.Engine("sumo", "sumo"), "u-turn", 1, "risky", range(5)))
 
 
 @pytest.fixture(params=[a_cell, a_batch, moments, a_part])

@@ -25,7 +25,7 @@ def rewritten(
     path: Path, of_record: Callable[[dict[str, Any]], object], of_rows: Callable[[pd.DataFrame], pd.DataFrame]
 ) -> str:
     """Change a stored cell as somebody else could, with its right checksum and name; returns the name."""
-    [record], rows = parquet.records(path).values(), parquet.read(path).to_pandas()
+    [record], rows = parquet.records(path).values(), parquet.unpacked(path, SCHEMA)[0].to_pandas()
     record = json.loads(json.dumps(record))
     of_record(record)
     rows = of_rows(rows)

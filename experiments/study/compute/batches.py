@@ -81,9 +81,13 @@ class Batch(ABC):
             heartbeat(len(rows) / number)
         return pd.DataFrame(rows, columns=list(self.columns))
 
+    def write(self, rows: pd.DataFrame) -> None:
+        """Store them. Raises ValueError where the rows are not those of the episodes; OSError."""
+        write_part(self.path, self.name, self.columns, rows, self.episodes)
+
     def compute(self, heartbeat: Heartbeat) -> None:
         """Drive and store them."""
-        write_part(self.path, self.name, self.columns, self.rows(heartbeat), self.episodes)
+        self.write(self.rows(heartbeat))
 
 
 def named(label: str, key: Mapping[str, Any]) -> str:

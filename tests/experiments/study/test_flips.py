@@ -18,7 +18,6 @@ from experiments.study.compute import rare, takeover
 from experiments.study.compute.batches import Batch
 from experiments.study.compute.entrants import entrant_of
 from experiments.study.results.parquet import Damaged, packed
-from experiments.study.results.part import write_part
 from experiments.study.results.schema import EPISODES, GATES
 from experiments.study.results.store import Store
 from experiments.validation import episodes
@@ -47,8 +46,7 @@ def a_cell(folder: Path) -> tuple[Path, Read]:
 
 
 def written(batch: Batch) -> tuple[Path, Read]:
-    rows = made_up(dict(batch.columns), dict(batch.episodes))
-    write_part(batch.path, batch.name, batch.columns, rows, batch.episodes)
+    batch.write(made_up(dict(batch.columns), dict(batch.episodes)))
     return batch.path, lambda: [batch.read()]
 
 
@@ -101,7 +99,7 @@ def test_a_changed_byte_is_noticed_or_changes_nothing(stored: tuple[Path, Read])
 
 
 def test_rows_that_are_not_those_asked_for_are_named_and_driven_again(tmp_path: Path, capsys) -> None:
-    file = episodes.Part(episodes.Engine("sumo", "sumo"), "u-turn", 1, "risky", range(5), tmp_path).file
+    file = episodes.Part(tmp_path, episodes.Engine("sumo", "sumo"), "u-turn", 1, "risky", range(5))
     file.write(whole := made_up(episodes.COLUMNS, dict(file.episodes)))
     assert file.done() and not capsys.readouterr().out
     for rows in (whole.iloc[:-1], whole.iloc[::-1], whole.drop(columns="density")):
@@ -115,9 +113,7 @@ def test_rows_that_are_not_those_asked_for_are_named_and_driven_again(tmp_path: 
 def test_episodes_of_another_task_are_not_taken(tmp_path: Path) -> None:
     """Two policies have the same scenarios: a batch of one is none of the other, whatever its file is called."""
     slower, idle = (
-        rare.Batch(
-            tmp_path, question(Options((policy,), "u-turn"), policy), "pilot", ((0.1, 0.1),), 5, 0
-        ).file
+        rare.Batch(tmp_path, question(Options((policy,), "u-turn"), policy), "pilot", ((0.1, 0.1),), 5, 0)
         for policy in ("slower", "idle")
     )
     assert slower.episodes == idle.episodes

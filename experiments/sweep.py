@@ -86,7 +86,8 @@ def sweep(
     cells = cells_of(options, known_dynamics if options.dry_run else dynamics, make_env)
     mine = shard(cells, options.shard)
     if options.cell:
-        mine = [one_of(mine, options.cell)]
+        name = find_cell(options.cell, [cell.name for cell in mine])
+        mine = [cell for cell in mine if cell.name == name]
     if options.dry_run:
         describe(options, mine, options.workers or cores())
         return 0
@@ -98,7 +99,9 @@ def sweep(
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     with writing(options.directory):
         if options.cell:
-            return compute_one(mine[0], options.directory, make_env)
+            compute_here(CellTask(mine[0], options.directory, make_env))
+            print(f"finished: {Store(options.directory).cells / mine[0].name}")
+            return 0
         Store(options.directory).write_sweep(again, cells)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
         try:
@@ -134,19 +137,6 @@ def refuse_early(cells: Iterable[Cell], executor: str) -> None:
                 torch.empty(0, device=device)
             except (RuntimeError, AssertionError) as error:
                 raise UserError(f"device {device}: {str(error).splitlines()[0]}") from None
-
-
-def one_of(cells: Sequence[Cell], wanted: str) -> Cell:
-    """The cell of this name, or with this beginning. Raises UserError for none or several."""
-    name = find_cell(wanted, [cell.name for cell in cells])
-    return next(cell for cell in cells if cell.name == name)
-
-
-def compute_one(cell: Cell, directory: Path, make_env: MakeEnv) -> int:
-    """Compute one cell in this process, to see why it fails."""
-    compute_here(CellTask(cell, directory, make_env))
-    print(f"finished: {Store(directory).cells / cell.name}")
-    return 0
 
 
 def say_failures(failures: Mapping[str, str], directory: Path, again: str) -> int:

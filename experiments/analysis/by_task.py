@@ -49,12 +49,8 @@ OWN = {
     "hard_crash": Outcome(f"at {HARD:.0f} m/s or more", "[%]", -1, 1, percent=True, poolable=True, of=_hard),
     "entered": Outcome("enters", "[%]", 0, 0, percent=True, of=_entered),
 }
-COLUMNS: dict[str, Outcome] = {
-    **{name: OUTCOMES[name] for name in ("crashed", "crashes_per_100_km")},
-    "hard_crash": OWN["hard_crash"],
-    **{name: OUTCOMES[name] for name in ("mean_speed", "return", "score")},
-    "entered": OWN["entered"],
-}
+SHOWN = ("crashed", "crashes_per_100_km", "hard_crash", "mean_speed", "return", "score", "entered")
+COLUMNS: dict[str, Outcome] = {name: (OUTCOMES | OWN)[name] for name in SHOWN}
 # Danger without a crash: exploratory, and in no column of the report.
 SURROGATES: dict[str, Outcome] = {
     "near_misses_per_km": Outcome("near misses per km", "", -1, 1, of=_near_misses),

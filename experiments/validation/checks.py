@@ -25,6 +25,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
+from experiments.study.compute.evaluate import limits
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import sheet
 from experiments.validation.episodes import AGENTS, BIN, BINS, CORE, HEADWAYS, PAIR, egos
@@ -82,21 +83,13 @@ def pairs(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     return a.merge(b, on=PAIR, suffixes=("_a", "_b"))
 
 
-def interval(values: Floats, confidence: float = 0.90) -> tuple[float, float]:
-    """t-interval of the mean; NaN with fewer than two values."""
-    if len(values) < 2:
-        return np.nan, np.nan
-    half = float(stats.t.ppf(0.5 + confidence / 2, len(values) - 1) * stats.sem(values))
-    return float(values.mean()) - half, float(values.mean()) + half
-
-
 def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
     """Difference of the means of a measure; pairs in which either has none do not count."""
     columns = both[["scenario", f"{measure}_a", f"{measure}_b"]].astype(float)
     columns = columns[np.isfinite(columns).all(axis=1)]
     first, second = columns[f"{measure}_a"], columns[f"{measure}_b"]
-    by_scenario = (first - second).groupby(columns["scenario"]).mean().to_numpy()
-    low, high = interval(by_scenario)
+    by_scenario = (first - second).groupby(columns["scenario"]).mean()
+    _, low, high = limits(by_scenario, is_share=False, confidence=0.90)
     found = {"sumo": first.mean(), "reference": second.mean(), "difference": (first - second).mean()}
     return {**found, "low": low, "high": high, "n": len(by_scenario)}
 
@@ -136,7 +129,7 @@ def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[dict[str, bool], i
     turned: dict[str, bool] = {}
     count = 0
     for one, other in combinations(tables[1].columns, 2):
-        own, reference = ((table[one] - table[other]).dropna().to_numpy() for table in tables)
+        own, reference = ((table[one] - table[other]).dropna() for table in tables)
         if not decided(reference):
             continue
         count += 1
@@ -145,9 +138,9 @@ def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[dict[str, bool], i
     return turned, count
 
 
-def decided(differences: Floats) -> bool:
+def decided(differences: pd.Series) -> bool:
     """Whether the 95 % interval of the mean excludes 0."""
-    low, high = interval(differences, 0.95)
+    _, low, high = limits(differences, is_share=False)
     return len(differences) >= LEAST_SCENARIOS and not low <= 0 <= high
 
 

@@ -124,8 +124,8 @@ def play_from(
     }
 
 
-def limits(values: pd.Series, is_share: bool) -> list[float]:
-    """The mean of an outcome of episodes, and the ends of its 95 % interval over them.
+def limits(values: pd.Series, is_share: bool, confidence: float = 0.95) -> list[float]:
+    """The mean of an outcome of episodes, and the ends of its interval over them; NaN for less than two.
 
     Wilson's of a share of episodes, Student's of any other mean.
     """
@@ -133,8 +133,8 @@ def limits(values: pd.Series, is_share: bool) -> list[float]:
 
     if is_share:
         found = stats.binomtest(int(values.sum()), len(values))
-        return [float(value) for value in (found.statistic, *found.proportion_ci(method="wilson"))]
-    mean, half = values.mean(), stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
+        return [float(value) for value in (found.statistic, *found.proportion_ci(confidence, "wilson"))]
+    mean, half = values.mean(), stats.t.ppf(0.5 + confidence / 2, len(values) - 1) * values.sem()
     return [float(value) for value in (mean, mean - half, mean + half)]
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from experiments.study.compute.evaluate import limits
 from experiments.validation import checks
 from experiments.validation.checks import REFERENCE, scorecard
 from experiments.validation.episodes import BIN, BINS, HEADWAYS, egos
@@ -155,8 +156,10 @@ def test_the_scenario_is_the_unit() -> None:
 
 
 def test_the_interval_is_students() -> None:
-    values = np.random.default_rng(0).normal(1.0, 2.0, size=8)
-    assert checks.interval(values) == pytest.approx(stats.ttest_1samp(values, 0.0).confidence_interval(0.9))
+    values = pd.Series(np.random.default_rng(0).normal(1.0, 2.0, size=8))
+    found = limits(values, is_share=False, confidence=0.9)
+    assert found[1:] == pytest.approx(stats.ttest_1samp(values, 0.0).confidence_interval(0.9))
+    assert np.isnan(limits(values[:1], is_share=False)[1:]).all()
 
 
 def histogram(bin_: int) -> dict[str, Any]:
@@ -168,7 +171,7 @@ def test_a_distance_and_its_interval_are_of_a_mean_where_one_side_lies_above_the
     rows = [row("a", k, **histogram(bin_)) for k, bin_ in enumerate(bins)]
     rows += [row("b", k, **histogram(20)) for k in range(200)]
     found = checks.headway_distance(checks.pairs(pd.DataFrame(rows), "a", "b"))
-    low, high = checks.interval((BIN * (20.0 - bins)).astype(np.float64))
+    _, low, high = limits(pd.Series(BIN * (20.0 - bins)), is_share=False, confidence=0.9)
     assert found["difference"] == pytest.approx((low + high) / 2)
     assert found["high"] - found["low"] == pytest.approx(high - low, rel=0.1)
     assert np.isnan(checks.wasserstein(np.zeros(BINS), np.ones(BINS)))

@@ -8,7 +8,7 @@ scenarios, fixed before the plan. All agents count, competent or not; a second t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
@@ -38,24 +38,19 @@ COLUMNS = [
     "competent",
     "failed",
 ]
-Marks = Callable[[str], Mapping[str, Any]]
 
 
-def competence(
-    cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame, marks: Marks | None = None
-) -> pd.DataFrame:
+def competence(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.DataFrame:
     """The verdict on every setting that has marks.
 
     Args:
-        cells: cell.json by name. episodes: of the gates, as in `loaded.Results`. marks: drivers by place, by default
-            the stored ones.
+        cells: cell.json by name. episodes: of the gates, as in `loaded.Results`.
 
     Returns:
         A row a SETTING: agents (their number), return, score and crashed (means of the control agents), rule and
         rule_return (the best driver of fixed rules), unfair (whether SUMO's driver has more actions, and is not asked),
         competent, and failed (the names in WORDS of what it lacks).
     """
-    known = marks or _stored
     asked = {name for name, cell in cells.items() if is_marked(cell["key"])}
     own = episodes[
         episodes["cell"].isin(asked) & (episodes["arm"] == "control") & (episodes["kind"] == "agent")
@@ -63,7 +58,7 @@ def competence(
     rows = []
     for setting, there in own[own["traffic"] == TRAFFIC].groupby(SETTING, sort=False):
         _, task, _, level = setting
-        drivers = known(attainable.place(task, level, TRAFFIC))
+        drivers = attainable.stored().get(attainable.place(task, level, TRAFFIC), {}).get("drivers", {})
         low, high = attainable.ends(drivers)
         if not low < high:
             continue
@@ -82,10 +77,6 @@ def competence(
         values = [there["cell"].nunique(), got, score, crashed, best, rules[best], len(fair) < len(drivers)]
         rows.append([*setting, *values, not failed, failed])
     return in_order(pd.DataFrame(rows, columns=COLUMNS), "backend", "task", "level").reset_index(drop=True)
-
-
-def _stored(place: str) -> Mapping[str, Any]:
-    return attainable.stored().get(place, {}).get("drivers", {})
 
 
 def competent(verdicts: pd.DataFrame) -> Places:

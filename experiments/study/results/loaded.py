@@ -120,6 +120,5 @@ def _concatenate(tables: Mapping[str, pd.DataFrame], keys: pd.DataFrame) -> pd.D
     """All rows of the tables of these cells, behind OF_CELL."""
     if not tables:  # of gates, where all that can be read was tested on another simulator
         return keys.iloc[:0].reset_index(drop=True)
-    cells = [name for name, table in tables.items() for _ in range(len(table))]
-    rows = pd.concat(tables.values(), ignore_index=True)[list(COLUMNS)]
-    return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)
+    rows = pd.concat(tables, names=["cell"]).reset_index("cell")[["cell", *COLUMNS]]
+    return keys.reset_index(drop=True).merge(rows, on="cell")

@@ -89,11 +89,11 @@ def check_record(name: str, record: Any) -> None:
 
 def table_of(name: str, tables: Mapping[str, pd.DataFrame]) -> pa.Table:
     """The test episodes of a cell, and those that its gates are judged on, as rows of SCHEMA. Raises ValueError."""
-    parts = []
-    for file, purpose in PURPOSES.items():
-        if file in tables:
-            parts.append(as_table(tables[file].assign(cell=name, purpose=purpose), SCHEMA))
-    return pa.concat_tables(parts)
+    return pa.concat_tables(
+        as_table(tables[file].assign(cell=name, purpose=purpose), SCHEMA)
+        for file, purpose in PURPOSES.items()
+        if file in tables
+    )
 
 
 def as_table(rows: pd.DataFrame, schema: pa.Schema | None) -> pa.Table:

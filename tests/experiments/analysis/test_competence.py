@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from experiments.analysis.competence import competence, competent
+from experiments.study.design import attainable
 from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
 
@@ -38,14 +39,15 @@ def driver(kind: str, value: float, crashed: float = 0.1) -> dict[str, Any]:
         ({"idm": ("more actions", -1.0, 0.0)}, ""),
     ],
 )
-def test_what_a_setting_lacks(results: Results, marks: Mapping[str, Any], failed: str) -> None:
+def test_what_a_setting_lacks(results: Results, marks: Mapping[str, Any], failed: str, monkeypatch) -> None:
     """Marks are given by how much more they return than the control agents do, who crash in about a quarter."""
     own = results.gate_episodes
     control = own[(own["arm"] == "control") & (own["task"] == "highway") & (own["traffic"] == "regular")]
     got = control["return"].mean()
     known = {"SLOWER": driver("constant", got - 5), "best-s300": driver("policy", got)}
     known |= {name: driver(kind, got + more, *rest) for name, (kind, more, *rest) in marks.items()}
-    found = competence(results.cells, own, lambda place: known if place == "highway 50 regular" else {})
+    monkeypatch.setattr(attainable, "stored", lambda: {"highway 50 regular": {"drivers": known}})
+    found = competence(results.cells, own)
     [row] = found.to_dict("records")  # the two-way road has no marks
     assert row["failed"] == failed and competent(found) == ((("highway", "50"),) if not failed else ())
     assert (row["agents"], row["return"]) == (2, pytest.approx(got))
@@ -56,8 +58,9 @@ def test_what_a_setting_lacks(results: Results, marks: Mapping[str, Any], failed
     assert row["unfair"] == any(one["kind"] == "more actions" for one in known.values())
 
 
-def test_what_is_configured_otherwise_is_not_judged(tmp_path: Path) -> None:
+def test_what_is_configured_otherwise_is_not_judged(tmp_path: Path, monkeypatch) -> None:
     synthetic.write(tmp_path, {"highway": (1,)}, seeds=2, baselines=(), config=("collision_reward=-2",))
     results = load(tmp_path)
     known = {"SLOWER": driver("constant", 0.0), "idm": driver("policy", 1.0)}
-    assert competence(results.cells, results.gate_episodes, lambda _: known).empty
+    monkeypatch.setattr(attainable, "stored", lambda: {"highway 50 regular": {"drivers": known}})
+    assert competence(results.cells, results.gate_episodes).empty

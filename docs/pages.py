@@ -35,8 +35,7 @@ from experiments.analysis.plan import DEFAULT
 from experiments.reporting import by_task
 from experiments.reporting.card import ALL, card_figure
 from experiments.reporting.figures import BESIDE, alone, crashes_against_speed
-from experiments.reporting.rare import rare_figure
-from experiments.reporting.road_units import doses_figure
+from experiments.reporting.rare import doses_figure, rare_figure
 from experiments.reporting.tables import chosen, effect, interval, plain, points
 from experiments.reporting.takeover import danger_figure
 from experiments.study.compute.takeover import PAIR

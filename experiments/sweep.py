@@ -31,8 +31,7 @@ import pandas as pd
 
 from experiments import backends
 from experiments.backends import MakeEnv
-from experiments.study.compute.cell_task import CellTask
-from experiments.study.compute.cells import compute
+from experiments.study.compute.cells import CellTask, compute
 from experiments.study.compute.executors import EXECUTORS, cores
 from experiments.study.compute.progress import duration, seconds
 from experiments.study.compute.run import compute_here

@@ -50,7 +50,7 @@ from experiments.study.design.levels import TaskName, env_config, level_names, t
 from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.takeover import films, most_telling
-from experiments.study.results.part import write_part
+from experiments.study.results.parquet import write_part
 from experiments.support.arguments import command
 from experiments.support.errors import UserError, check_known, in_words, writing
 from experiments.support.files import plain_json, write_file, write_json

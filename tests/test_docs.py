@@ -23,7 +23,7 @@ import sumo_env
 from docs import pages, settings
 from docs.pages import filled, page_of, templates
 from experiments.reporting.figures import alone
-from experiments.reporting.road_units import MEASURED
+from experiments.reporting.rare import MEASURED
 from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID, VARIANTS
 from experiments.study.design.traffic import TRAFFICS

@@ -17,10 +17,9 @@ from experiments.analysis.by_task import COLUMNS, OWN, SURROGATES, by_task
 from experiments.analysis.claims import claims, primary
 from experiments.analysis.comparable import comparable, incomplete, leave_out, main_cells, unfinished
 from experiments.analysis.competence import competence, competent
-from experiments.analysis.drivers import drivers
+from experiments.analysis.drivers import drivers, to_frontier
 from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
-from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import arms_of, at_home, in_order, undrivable, with_outcomes
@@ -48,7 +47,7 @@ class Analysis:
     `plan.as_data`. notes: missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their
     reasons; stage, the last one of the plan that is complete; and `scores.undrivable`. primary: see `claims.primary`.
     learner (see `gates.learner_checks`): empty where the plan does not ask for it. frontier: see
-    `frontier.to_frontier`. by_task: see `by_task.by_task`. drivers: see `drivers.drivers`. competence: see
+    `drivers.to_frontier`. by_task: see `by_task.by_task`. drivers: see `drivers.drivers`. competence: see
     `competence.competence`. competent: as by_task, of the settings whose control agents are competent.
     """
 

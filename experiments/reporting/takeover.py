@@ -28,7 +28,7 @@ from experiments.reporting.tables import MINUS, chosen, p_value, plain
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, PAIR, WINDOW
 from experiments.study.design.arms import ARMS
 from experiments.study.design.levels import level_names
-from experiments.study.results.part import read_part
+from experiments.study.results.parquet import read_part
 
 RECORDS = "takeover/*/moments.parquet"  # of experiments/takeover.py, in a study's folder
 ARM_OF = dict(zip(PAIR, ARMS, strict=True))

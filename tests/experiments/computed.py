@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from experiments.study.compute.cell_task import CellTask
+from experiments.study.compute.cells import CellTask
 from experiments.study.compute.run import Attempt, attempt
 from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.results.store import Store

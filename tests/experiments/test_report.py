@@ -26,7 +26,7 @@ from experiments.study.compute import takeover
 from experiments.study.design import attainable
 from experiments.study.design.verdict import STORED
 from experiments.study.results.loaded import load
-from experiments.study.results.part import DamagedEpisodes, write_part
+from experiments.study.results.parquet import DamagedEpisodes, write_part
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
 from tests.experiments.analysis.test_takeover import alike, drawn

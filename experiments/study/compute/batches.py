@@ -15,7 +15,7 @@ from experiments.study.compute.executors import open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
 from experiments.study.compute.progress import ProgressDisplay
 from experiments.study.compute.run import Heartbeat, run
-from experiments.study.results.part import DamagedEpisodes, read_part, write_part
+from experiments.study.results.parquet import DamagedEpisodes, read_part, write_part
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes

@@ -1,7 +1,8 @@
 """Files of results: rows of a schema, a text that says what they are, and a checksum of both.
 
-`packed` writes and `unpacked` reads every such file: those of cells here, those of other tasks in `part`. They are
-parquet files, whose metadata has the text as "records" and the checksum as "sha256". Nothing in them is unpickled.
+`packed` writes and `unpacked` reads every such file, whole or not at all: those of cells, and those of other episodes.
+They are parquet files, whose metadata has the text as "records" and the checksum as "sha256". Nothing in them is
+unpickled, and none is believed once a byte of it has changed.
 
 A file of cells has the test episodes of one or of several as rows of `schema.SCHEMA`; its text is JSON, the record of
 each cell by name.
@@ -12,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,8 +23,17 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from experiments.study.results.schema import PURPOSES, SCHEMA, OtherVersion, check_record, check_table
+from experiments.study.results.schema import (
+    PURPOSES,
+    SCHEMA,
+    OtherVersion,
+    as_table,
+    check_record,
+    check_table,
+    schema_of,
+)
 from experiments.support.errors import UserError
+from experiments.support.files import made, write_file
 
 T = TypeVar("T")
 
@@ -51,6 +61,12 @@ class DamagedPart(Damaged):
         "restore it from a copy (git checkout, for a published one), or remove it, and the same sweep computes its "
         "cells again"
     )
+
+
+class DamagedEpisodes(Damaged):
+    """Episodes that can be driven again."""
+
+    remedy = "run the same command again, which drives its episodes again"
 
 
 def asked_of(path: Path, asked: Callable[[Path], T], damaged: type[Damaged]) -> T:
@@ -156,3 +172,51 @@ def _metadata(about: pq.FileMetaData) -> tuple[str, str]:
     if not metadata.keys() >= {b"records", b"sha256"}:
         raise ValueError("it has no records")
     return metadata[b"records"].decode(), metadata[b"sha256"].decode()
+
+
+# -- Files of episodes that are no cells: batches, and the record of takeover.py ---------------------------------------
+
+
+def read_part(
+    path: Path, name: str, columns: Mapping[str, str], episodes: Mapping[str, Sequence[Any]]
+) -> pd.DataFrame:
+    """The episodes in a file. Raises DamagedEpisodes.
+
+    Args:
+        name: of what is computed, which the file has to have too.
+        columns: by name the type, as in `schema.schema_of`; of those of "float32" and "float64" values may be missing.
+        episodes: in these columns the values of each row, in order.
+    """
+
+    def checked(path: Path) -> pd.DataFrame:
+        table, found = unpacked(path, _schema(columns))
+        if found != name:
+            raise ValueError(f"its content is that of {found}")
+        return _expected(table, episodes).to_pandas()
+
+    return asked_of(path, checked, DamagedEpisodes)
+
+
+def write_part(
+    path: Path,
+    name: str,
+    columns: Mapping[str, str],
+    rows: pd.DataFrame,
+    episodes: Mapping[str, Sequence[Any]],
+) -> None:
+    """Store episodes. Raises ValueError where they are not those that a reader takes; OSError."""
+    table = _expected(as_table(rows, _schema(columns)), episodes)
+    made(path.parent)
+    write_file(path, packed(table, name))
+
+
+def _schema(columns: Mapping[str, str]) -> pa.Schema:
+    return schema_of(columns, [name for name, kind in columns.items() if "float" in kind])
+
+
+def _expected(table: pa.Table, episodes: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """The rows, which are those of the episodes, or it raises ValueError."""
+    for column, values in episodes.items():
+        if table[column].to_pylist() != list(values):
+            raise ValueError(f"its episodes are not those that are asked for: look at {column}")
+    return table

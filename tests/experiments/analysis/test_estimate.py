@@ -13,8 +13,8 @@ from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.weightstats import CompareMeans, DescrStatsW, ttost_ind
 
 from experiments.analysis import estimate
+from experiments.analysis.drivers import lower_hull, to_frontier
 from experiments.analysis.estimate import Mean, combine, interval, linear
-from experiments.analysis.frontier import lower_hull, to_frontier
 
 
 @pytest.fixture

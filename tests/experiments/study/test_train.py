@@ -11,7 +11,7 @@ import pytest
 
 from agents.learner import Trained
 from agents.streams import episode_seed
-from experiments.study.compute.cell_task import CellTask
+from experiments.study.compute.cells import CellTask
 from experiments.study.compute.train import CURVE, learning_curve, train_cell
 from experiments.study.design.arms import EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.design.cell import Cell

@@ -11,8 +11,8 @@ from gymnasium.utils.env_checker import check_env
 
 from agents.streams import episode_seed
 from experiments.backends import make_env as make_sumo
+from experiments.study.compute.cells import Worth
 from experiments.study.compute.evaluate import drives, evaluate
-from experiments.study.compute.worth import Worth
 from experiments.study.compute.wrappers import TimeObserved, TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.levels import env_config

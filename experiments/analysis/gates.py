@@ -148,22 +148,19 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         )
         for name, seed in alike["seed"].items():
             own, record = tables[name].loc[traffics], cells[name].get("learner") or {}
-            found = [
-                _q_bounded(record),
-                _goals_inside(record),
-                _values_true(record),
-                _not_constant(own, constant),
-                _crosses(setting[1], own, others.values()),
-                _beats_constant(own, constant),
-            ]
-            failed = " ".join(gate for gate, passed in zip(GATES, found, strict=True) if passed is False)
-            asked = [
-                passed
-                for gate, passed in zip(GATES, found, strict=True)
-                if not record or gate not in ABOUT or ABOUT[gate] in record
-            ]
-            sound = False if failed else None if None in asked else True
-            rows.append([name, *setting, arm, seed, sound, failed, *found])
+            found = {
+                "q_bounded": _q_bounded(record),
+                "goals_inside": _goals_inside(record),
+                "values_true": _values_true(record),
+                "not_constant": _not_constant(own, constant),
+                "crosses": _crosses(setting[1], own, others.values()),
+                "beats_constant": _beats_constant(own, constant),
+            }
+            failed = " ".join(gate for gate, passed in found.items() if passed is False)
+            unasked = {gate for gate, part in ABOUT.items() if record and part not in record}
+            is_open = any(passed is None for gate, passed in found.items() if gate not in unasked)
+            sound = False if failed else None if is_open else True
+            rows.append([name, *setting, arm, seed, sound, failed, *found.values()])
     frame = pd.DataFrame(rows, columns=["cell", *AGENT, "passed", "failed", *GATES])
     return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
 

@@ -12,7 +12,7 @@ from agents.rules import CAUTIONS, make_policy
 from agents.rules.careful import FUTURE, _as_if_turning, _drive
 from agents.rules.perception import Perception
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.compute.evaluate import evaluate
 
 FIVE = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
 THREE = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
@@ -171,7 +171,7 @@ def test_careful_on_highway_env(task: str) -> None:
     """On its physics, by the replica. At the intersection the return pays for crossing blindly."""
     env = make_env("replica", task)
     careful, idle = (
-        evaluate(env, make_policy(name, env), drives(task, 1, range(30), ("regular",)))
+        evaluate(env, make_policy(name, env), task, 1, range(30), ("regular",))
         for name in ("careful", "idle")
     )
     assert careful["crashed"].mean() <= 0.1 < 0.3 <= idle["crashed"].mean()

@@ -11,7 +11,7 @@ import pytest
 
 from experiments import evaluate as command
 from experiments import rare, report, validate, watch
-from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.compute.evaluate import evaluate
 from experiments.study.design import experiment
 from experiments.study.design.levels import choose_levels, choose_tasks
 from experiments.study.design.presets import cells_of, of_preset
@@ -108,7 +108,7 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (lambda: split_arguments(["--placebo=maybe"], Options), "true, false, yes or no, not 'maybe'"),
     (lambda: split_arguments(["--out", "-x"], Options), "written ./-x"),
     (smoke(tasks=("highway",), backend="replica", traffics=("measured",)), "measured has drivers that replica has not"),
-    (lambda: evaluate(None, None, drives("u-turn", 1, [0], ["risk"])), "did you mean 'risky'"),
+    (lambda: evaluate(None, None, "u-turn", 1, [0], ["risk"]), "did you mean 'risky'"),
     # what would fail after the trainings is refused before them
     (swept(policy=("model.zip",)), "no model of Stable-Baselines3"),
     (swept(settings=("device=toaster",)), "device toaster"),

@@ -16,7 +16,7 @@ import pandas as pd
 
 from experiments import backends
 from experiments.backends import MakeEnv
-from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.compute.evaluate import evaluate
 from experiments.study.compute.executors import cores, open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
 from experiments.study.compute.policies import driver
@@ -121,8 +121,8 @@ class CellTask:
         first = cell.eval["first_scenario"]
 
         def table(there: gym.Env[Any, Any], purpose: str, traffics: Iterable[str], n: int) -> pd.DataFrame:
-            asked = drives(cell.task, cell.level, range(first, first + n), traffics, purpose)
-            return evaluate(there, policy, asked, on_episode)
+            where = cell.task, cell.level, range(first, first + n), traffics, purpose
+            return evaluate(there, policy, *where, on_episode)
 
         episodes = table(seen, "test", cell.tested["traffics"], int(cell.tested["episodes"]))
         if cell.test_on is not None:

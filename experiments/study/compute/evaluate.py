@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -13,7 +14,7 @@ import pandas as pd
 from agents.policies import Policy
 from experiments.study.compute.wrappers import UnseenRisk
 from experiments.study.design.arms import scenario_seed, stream_seed
-from experiments.study.design.traffic import TRAFFICS, traffic_named
+from experiments.study.design.traffic import traffic_named
 from experiments.study.results.schema import ACTIONS, COLUMNS
 from experiments.support.errors import UserError
 
@@ -37,18 +38,6 @@ class Drive(NamedTuple):
     def seed(self) -> int:
         """Seed of the environment's reset; it does not depend on the traffic."""
         return scenario_seed(self.task, self.level, self.scenario, self.purpose)
-
-
-def drives(
-    task: str,
-    level: int,
-    scenarios: Iterable[int],
-    traffics: Iterable[str] = TRAFFICS,
-    purpose: str = "test",
-) -> list[Drive]:
-    """These scenarios of a task and level in each of the traffics."""
-    numbers = list(scenarios)
-    return [Drive(task, level, traffic, number, purpose) for traffic in traffics for number in numbers]
 
 
 def play(
@@ -147,15 +136,19 @@ def driving(episodes: pd.DataFrame) -> dict[str, list[float]]:
 def evaluate(
     env: gym.Env[Any, Any],
     policy: Policy,
-    asked: Iterable[Drive],
+    task: str,
+    level: int,
+    scenarios: Sequence[int],
+    traffics: Iterable[str],
+    purpose: str = "test",
     on_episode: Callable[[], None] = lambda: None,
 ) -> pd.DataFrame:
-    """Test a policy on these episodes of one task and level; one row of COLUMNS each.
+    """Test a policy on these scenarios of a task and level in each of the traffics; one row of COLUMNS each.
 
     The result depends on the arguments alone, not on what `env` did before.
     """
     rows = []
-    for drive in asked:
-        rows.append(play(env, policy, drive))
+    for traffic, number in product(traffics, scenarios):
+        rows.append(play(env, policy, Drive(task, level, traffic, number, purpose)))
         on_episode()
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)

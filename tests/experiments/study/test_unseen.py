@@ -8,7 +8,7 @@ import pandas as pd
 
 from agents.rules import make_policy
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.compute.evaluate import evaluate
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.levels import env_config
 from experiments.study.design.presets import cells_of, of_preset
@@ -60,7 +60,7 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
     traffics = (*unseen_traffics("roundabout"), "measured")
     assert set(traffics) == set(UNSEEN)
     tables = [
-        evaluate(env, make_policy("idle", env), drives("roundabout", 1, range(3), order)).set_index("traffic")
+        evaluate(env, make_policy("idle", env), "roundabout", 1, range(3), order).set_index("traffic")
         for order in (traffics, traffics[::-1])
     ]
     for traffic in traffics:

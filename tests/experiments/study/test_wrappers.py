@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from agents.streams import episode_seed
 from experiments.backends import make_env as make_sumo
 from experiments.study.compute.cells import Worth
-from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.compute.evaluate import evaluate
 from experiments.study.compute.wrappers import TimeObserved, TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.levels import env_config
@@ -157,7 +157,7 @@ def driven(rules: TrainingRules) -> tuple[Worth, Kept]:
         act=lambda _: 1, reset=lambda _: None, q=lambda _: np.array([0.0, 3.0 if env.time else 7.0])
     )
     worth = Worth(env, agent, GAMMA, rules)
-    evaluate(worth, agent, drives("u-turn", 1, range(12), ["risky"]))
+    evaluate(worth, agent, "u-turn", 1, range(12), ["risky"])
     return worth, env
 
 

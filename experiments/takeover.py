@@ -29,7 +29,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
@@ -174,12 +174,6 @@ def drive(options: Options, asked: Sequence[Sequence[Question]]) -> pd.DataFrame
     return driven(batches, options.executor, options.workers, "batches")
 
 
-def each(rows: pd.DataFrame, of: Callable[[pd.DataFrame], pd.DataFrame]) -> pd.DataFrame:
-    """An analysis of every traffic and bound by itself, with the columns traffic and within."""
-    found = {at: of(part) for at, part in rows.groupby(AT, sort=False)}
-    return pd.concat(found, names=AT).reset_index(level=AT).reset_index(drop=True)
-
-
 def film(
     options: Options, asked: Sequence[Sequence[Question]], rows: pd.DataFrame, names: Mapping[str, str]
 ) -> str:
@@ -202,8 +196,8 @@ def takeover(options: Options, arguments: Sequence[str]) -> int:
     with writing(options.out):
         rows = drive(options, asked)
         write_part(options.out / "moments.parquet", "moments", COLUMNS, rows, {})
-        frames = {"answers": each(rows, analysis.answers), "rates": each(rows, analysis.rates)}
-        frames["own_crashes"] = each(rows, analysis.own_crashes)
+        of = {"answers": analysis.answers, "rates": analysis.rates, "own_crashes": analysis.own_crashes}
+        frames = {name: analysis.each(rows, AT, analyse) for name, analyse in of.items()}
         by_question = frames["answers"].groupby(AT, sort=False)
         said = {at: analysis.claims(own, [*names.values()]) for at, own in by_question}
         found = {

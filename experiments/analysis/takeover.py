@@ -11,7 +11,7 @@ the interval is about these two drivers, not about a way of training. Ratios of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,12 @@ def answers(rows: pd.DataFrame) -> pd.DataFrame:
     return frame.astype({**dict.fromkeys(Estimate._fields, "float64"), "status": "str"})
 
 
+def each(rows: pd.DataFrame, by: list[str], of: Callable[[pd.DataFrame], pd.DataFrame]) -> pd.DataFrame:
+    """An analysis of each group of rows by itself, with the columns of the groups."""
+    found = {at: of(part) for at, part in rows.groupby(by, sort=False)}
+    return pd.concat(found, names=by).reset_index(level=by).reset_index(drop=True)
+
+
 def of_tasks(rows: pd.DataFrame) -> pd.DataFrame:
     """The answers in every task and traffic, from a record of several tasks and of one bound.
 
@@ -75,9 +81,7 @@ def of_tasks(rows: pd.DataFrame) -> pd.DataFrame:
         As `answers`, with task and traffic, and p_holm of the two questions: p adjusted by Holm's procedure over
         FAMILY, of which those that are not there count as undecided.
     """
-    by = ["task", "traffic"]
-    each = {at: answers(part) for at, part in rows.groupby(by, sort=False)}
-    found = pd.concat(each, names=by).reset_index(level=by).reset_index(drop=True)
+    found = each(rows, ["task", "traffic"], answers)
     asked = found["question"].isin([CAUTION, SKILL])
     p = found.loc[asked, "p"].fillna(1.0)
     found.loc[asked, "p_holm"] = estimate.adjusted([*p, *[1.0] * (FAMILY - len(p))])[: len(p)]

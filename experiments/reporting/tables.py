@@ -112,9 +112,9 @@ def chosen(frame: pd.DataFrame, **values: Any) -> pd.DataFrame:
     return frame
 
 
-def main(frame: pd.DataFrame, backend: str, arm: str = "treatment", against: str = "control") -> pd.DataFrame:
-    """The rows of a comparison."""
-    return chosen(frame, backend=backend, arm=arm, against=against)
+def main(frame: pd.DataFrame, backend: str) -> pd.DataFrame:
+    """The rows of the plan's comparison."""
+    return chosen(frame, backend=backend, arm="treatment", against="control")
 
 
 def wide(
@@ -144,12 +144,8 @@ def rates(row: Mapping[str, Any]) -> dict[str, str]:
 
 def careful(analysis: Analysis, backend: str) -> pd.DataFrame:
     """The careful driver of fixed rules against the agents of both arms, in both traffics."""
-    rows = chosen(
-        pd.concat([main(analysis.means, backend, arm, "careful") for arm in ARMS]),
-        scope=ALL_TASKS,
-        outcome=("crashed", "mean_speed"),
-        term=list(TRAFFICS),
-    )
+    rows = chosen(analysis.means, backend=backend, arm=ARMS, against="careful", scope=ALL_TASKS)
+    rows = chosen(rows, outcome=("crashed", "mean_speed"), term=TRAFFICS)
     return wide(rows.assign(agents=rows["arm"].replace(ARM_NAMES)), ["agents"], rates)
 
 

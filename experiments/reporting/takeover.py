@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.lines import Line2D
 
 from experiments.analysis.scores import in_order
-from experiments.analysis.takeover import ADJECTIVES, CAUTION, SKILL, claims, of_tasks, overall
+from experiments.analysis.takeover import ADJECTIVES, CAUTION, SKILL, claims, each, of_tasks, overall
 from experiments.reporting.figures import (
     CONTROL,
     INK,
@@ -60,10 +60,8 @@ def danger_figure(rows: pd.DataFrame) -> str:
 
     rows: a record of several tasks, whose a and b are control and treated agents.
     """
-    by = ["task", "traffic"]
-    frames = {at: overall(part) for at, part in rows.groupby(by, sort=False)}
-    each = pd.concat(frames, names=by).reset_index(level=by).replace({"driver": ARM_OF})
-    figure, panels = arrows(each, 4.3, "danger", 1.0)
+    drivers = each(rows, ["task", "traffic"], overall).replace({"driver": ARM_OF})
+    figure, panels = arrows(drivers, 4.3, "danger", 1.0)
     for panel in panels:
         panel.set(xlim=(-0.04, 1.2), xticks=[0, 0.5, 1])
         panel.xaxis.set_major_formatter(share)

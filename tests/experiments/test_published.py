@@ -70,9 +70,9 @@ def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch, here:
         assert 0 <= low <= value <= high <= 1
         _, original = publish.published(tmp_path, card["cell"], "")
         original.network.half().float()
-        env, asked = make_env("sumo", task, card["config"]), compute.drives(task, 1, range(2), ("regular",))
+        env, asked = make_env("sumo", task, card["config"]), (task, 1, range(2), ("regular",))
         first, again = (
-            compute.evaluate(env, policy, asked)
+            compute.evaluate(env, policy, *asked)
             for policy in (original, agents.load(setting, "control", file))
         )
         env.close()

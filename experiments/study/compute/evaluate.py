@@ -113,6 +113,15 @@ def play_from(
     }
 
 
+def repeat(env: Any, action: int, times: int) -> tuple[tuple[int, ...], bool, bool]:
+    """Take an action until the episode ends: what was taken, whether the ego crashed, whether it ended."""
+    for number in range(1, times + 1):
+        *_, terminated, truncated, info = env.step(action)
+        if info["crashed"] or terminated or truncated:
+            return (action,) * number, bool(info["crashed"]), True
+    return (action,) * times, False, False
+
+
 def limits(values: pd.Series, is_share: bool, confidence: float = 0.95) -> list[float]:
     """The mean of an outcome of episodes, and the ends of its interval over them; NaN for less than two.
 

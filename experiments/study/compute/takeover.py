@@ -21,7 +21,7 @@ from agents.rules import DRIVERS
 from experiments.backends import make_env
 from experiments.study.compute import batches
 from experiments.study.compute.entrants import Entrant
-from experiments.study.compute.evaluate import Drive
+from experiments.study.compute.evaluate import Drive, repeat
 from experiments.study.compute.wrappers import UnseenRisk
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.levels import level_names
@@ -155,13 +155,8 @@ def steps_in(env: Env, seconds: float = 1.0) -> int:
 def time_to_crash(env: Env, action: int, seconds: float) -> float:
     """How long a copy that repeats an action drives until it crashes [s]; inf where it does not in so many seconds."""
     with closing(copy.deepcopy(env)) as twin:
-        for step in range(1, steps_in(env, seconds) + 1):
-            _, _, terminated, truncated, info = twin.step(action)
-            if info["crashed"]:
-                return step / steps_in(env)
-            if terminated or truncated:
-                break
-    return math.inf
+        taken, crashed, _ = repeat(twin, action, steps_in(env, seconds))
+    return len(taken) / steps_in(env) if crashed else math.inf
 
 
 def lead(

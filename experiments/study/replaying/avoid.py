@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from typing import Any
 
+from experiments.study.compute.evaluate import repeat
 from experiments.study.replaying.rerun import Case, differences, play_again
 from experiments.support.errors import UserError
 
@@ -41,7 +42,7 @@ def way_out(env: Any, horizon: int = HORIZON) -> tuple[tuple[int, ...] | None, i
         effects = set()
         for action in choices if free else choices[: len(REST)]:
             with closing(copy.deepcopy(env)) as twin:
-                taken, crashed, over = _repeat(twin, action, 1 if free else steps)
+                taken, crashed, over = repeat(twin, action, 1 if free else steps)
                 contacts += crashed
                 if over and not crashed:
                     return taken
@@ -54,15 +55,6 @@ def way_out(env: Any, horizon: int = HORIZON) -> tuple[tuple[int, ...] | None, i
 
     steps = math.ceil(SAFE * env.config["policy_frequency"])
     return search(env, min(horizon, steps), steps), contacts
-
-
-def _repeat(env: Any, action: int, times: int) -> tuple[tuple[int, ...], bool, bool]:
-    """Take an action until the episode ends: what was taken, whether the ego crashed, whether it ended."""
-    for number in range(1, times + 1):
-        *_, terminated, truncated, info = env.step(action)
-        if info["crashed"] or terminated or truncated:
-            return (action,) * number, bool(info["crashed"]), True
-    return (action,) * times, False, False
 
 
 def _effect(env: Any) -> tuple[Any, ...]:

@@ -255,7 +255,8 @@ class Store:
             own = sorted(path.stem for path in self.cells.glob("*.parquet"))
             for name in own:
                 self.tables(name)
-                groups.setdefault(part_of(self.record(name)["key"]), []).append(name)
+                key = self.record(name)["key"]
+                groups.setdefault(f"{setting(key)}-{key['arm'] or 'policies'}", []).append(name)
             for part, names in groups.items():
                 if new := [name for name in names if name not in packed]:
                     path = made(self.parts) / f"{part}-{sha256_bytes(' '.join(new).encode())[:8]}.parquet"
@@ -270,11 +271,6 @@ class Store:
 def of_other_weights(test: Mapping[str, Any], agent: Mapping[str, Any]) -> bool:
     """Whether a further test was of other weights than its agent has now, which was trained again; both are records."""
     return bool(test["tested"]["sha256"] != agent["files"].get(WEIGHTS))
-
-
-def part_of(key: Mapping[str, Any]) -> str:
-    """The part that a cell belongs to, for example "sumo-highway-50-control", or "policies" of its setting."""
-    return f"{setting(key)}-{key['arm'] or 'policies'}"
 
 
 def find_cell(word: str, names: Sequence[str]) -> str:

@@ -152,7 +152,7 @@ def curve_of(
     components = [(rate, level) for rate in rates for level in (rate, *higher[rate])]
     episodes = drive(options, asked, "curve", components, options.episodes)
     curve = analysis.curve(episodes, rates)
-    curve.insert(1, "events_per_hour", 3600.0 * asked.events * curve["rate"])
+    curve.insert(1, "events_per_hour", 3600.0 * sum(asked.rates.values()) * curve["rate"])
     stored = {
         "question": asked.key,
         "levels": levels,

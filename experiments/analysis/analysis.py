@@ -199,11 +199,7 @@ def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.D
     own = sorted({*frame["policy"]} - {LEARNER, *POLICIES})
     ranks = {name: rank for rank, name in enumerate((*ARMS, *EXTRA_ARMS, *POLICIES, *own))}
     frame["rank"] = frame["arm"].where(frame["arm"] != "", frame["policy"]).map(ranks)
-    return (
-        in_order(frame, "backend", "task", "level", "rank", "traffic")
-        .drop(columns="rank")
-        .reset_index(drop=True)
-    )
+    return in_order(frame, "backend", "task", "level", "rank", "traffic").drop(columns="rank")
 
 
 def provenance(results: Results) -> dict[str, Any]:

@@ -76,7 +76,7 @@ def competence(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -
         failed = " ".join(name for name, is_so in lacks.items() if is_so)
         values = [there["cell"].nunique(), got, score, crashed, best, rules[best], len(fair) < len(drivers)]
         rows.append([*setting, *values, not failed, failed])
-    return in_order(pd.DataFrame(rows, columns=COLUMNS), "backend", "task", "level").reset_index(drop=True)
+    return in_order(pd.DataFrame(rows, columns=COLUMNS), "backend", "task", "level")
 
 
 def competent(verdicts: pd.DataFrame) -> Places:

@@ -162,7 +162,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
             sound = False if failed else None if is_open else True
             rows.append([name, *setting, arm, seed, sound, failed, *found.values()])
     frame = pd.DataFrame(rows, columns=["cell", *AGENT, "passed", "failed", *GATES])
-    return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
+    return in_order(frame, "backend", "task", "level", "arm", "seed")
 
 
 def learner_checks(

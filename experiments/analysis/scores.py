@@ -23,9 +23,11 @@ from sumo_env.tasks import TASKS
 def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
     """The rows sorted by columns, tasks and traffics in the grid's order."""
     order = {"task": {task: number for number, task in enumerate(tasks_known())}, "traffic": AT_A_DOSE}
-    return rows.sort_values(
-        list(columns), key=lambda column: column.map(order[column.name]) if column.name in order else column
-    )
+
+    def rank(column: pd.Series) -> pd.Series:
+        return column.map(order[column.name]) if column.name in order else column
+
+    return rows.sort_values(list(columns), key=rank, ignore_index=True)
 
 
 def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) -> pd.DataFrame:

@@ -61,15 +61,13 @@ class Question:
         return {**level_config(self.task, self.level), **self.driver.config, "risk": self.dose}
 
     @property
-    def events(self) -> float:
-        """Events of a vehicle at the rate 1 [1/s]."""
-        return float(sum(getattr(TASKS[task_of(self.task)].risk_rates, kind) for kind in KINDS))
+    def rates(self) -> dict[str, float]:
+        """Events of a vehicle at the rate 1, by their kind [1/s]."""
+        return {kind: getattr(TASKS[task_of(self.task)].risk_rates, kind) for kind in KINDS}
 
     def play(self, env: Any, policy: Policy, base: float, level: float, seed: int) -> dict[str, Any]:
         """One episode with events at the rate `base`, and at the rate `level` near the ego."""
-        rates = {
-            kind: getattr(TASKS[task_of(self.task)].risk_rates, kind) * base / self.dose for kind in KINDS
-        }
+        rates = {kind: rate * base / self.dose for kind, rate in self.rates.items()}
         options = {"risk_rates": rates, "event_factor": max(level / base, 1.0), "event_reach": self.reach}
         policy.reset(seed)
         seen, info = env.reset(seed=seed, options=options)
@@ -91,7 +89,7 @@ class Question:
             "near": info["events"],
             "near_expected": near,
             "other": info["other_events"],
-            "other_expected": self.events * lived - near,
+            "other_expected": sum(self.rates.values()) * lived - near,
         }
 
 

@@ -13,15 +13,12 @@ import numpy as np
 import pytest
 
 from experiments.backends import make_env
-from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
-from sumo_env.contacts.rectangles import states
 from sumo_env.env import DrivingEnv
 from sumo_env.replica.compiled import compile_notice, compiled
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, power, tan, unary
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
 from tests.processes import python
-from tests.tasks import highway_env_task
 
 SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12}}
 
@@ -55,24 +52,6 @@ def test_the_trace_is_the_scene_after_every_sub_step() -> None:
     without = silent.step({"ego": command(scenario)})
     assert without.trace == ()
     np.testing.assert_array_equal(without.scene.x, step.scene.x)
-
-
-@highway_env_task
-def test_measures_are_those_of_the_trace(task: str) -> None:
-    simulator, scenario = start(task, seed=3, risk=1.0)
-    before = simulator.reset(scenario)
-    step = simulator.step({"ego": command(scenario)}, trace=True)
-    least = np.inf
-    for scene in step.trace:
-        if scene.crashed[0]:
-            break
-        ego, *others = states(scene)
-        near = [o for o in others if np.hypot(o[0] - ego[0], o[1] - ego[1]) <= TTC_RADIUS]
-        least = min(least, ego_ttc(ego, near))
-    assert step.ego.min_ttc == pytest.approx(least, abs=1e-9)
-    speeds = [before.speed[0], *(scene.speed[0] for scene in step.trace[:-1])]
-    way = sum(max(speed, 0.0) for speed in speeds) / scenario.simulation_frequency
-    assert step.ego.distance == pytest.approx(way)
 
 
 def test_functions_round_as_numpy_does_on_this_processor() -> None:

@@ -1,4 +1,4 @@
-"""Contacts against shapely's polygons and highway-env's own test."""
+"""Contacts against shapely's polygons."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 import shapely
-from highway_env import utils
 
 from sumo_env.contacts.rectangles import (
     FINEST,
@@ -68,17 +67,6 @@ def test_penetration_is_the_shortest_way_out(pairs) -> None:
             more = second + sign * (depth + 1e-6)[:, None] * direction
             freed |= over(separation, first, more) > 0.0
     assert freed.all()
-
-
-def test_contact_equals_highway_env(pairs) -> None:
-    first, second = (poses[:2200] for poses in pairs)
-    ours = over(separation, first, second) <= 0.0
-    for k in range(len(first)):
-        a, b = (
-            np.vstack([corners := utils.rect_corners(pose[:2], LENGTH, WIDTH, pose[2]), corners[:1]])
-            for pose in (first[k], second[k])
-        )
-        assert utils.are_polygons_intersecting(a, b, np.zeros(2), np.zeros(2))[0] == ours[k]
 
 
 @pytest.fixture(scope="module")

@@ -145,7 +145,7 @@ def own_dqn(env, seed, steps, **settings):
     """Train this project's double DQN."""
     from agents.dqn import DQNConfig, train
 
-    budget = {"updates": (steps - 1000) // 2, "steps_per_update": 2, "batch_size": 100}
+    budget = {"updates": (steps - 1000) // 2, "steps_per_update": 2, "batch_size": 100, "n_steps": 1}
     given = {"gamma": 0.98, "tau": 0.005, "clip_goals": False, "by_hand": False, **budget, **settings}
     return train(env, DQNConfig(**given), seed).policy.act
 

@@ -44,6 +44,7 @@ from experiments.study.compute.batches import driven
 from experiments.study.compute.entrants import Entrant, entrant_of, several
 from experiments.study.compute.executors import EXECUTORS
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, COSTLY, OTHERS, PAIR, WINDOW, Batch, Question
+from experiments.study.design.arms import NUMBERED
 from experiments.study.design.experiment import assignments
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import TaskName, env_config, level_names, tasks_known
@@ -81,7 +82,9 @@ class Options:
     traffics: tuple[str, ...] = TRAFFICS
     """Traffics by name (docs/traffic-and-risk.md), each answered by itself."""
     scenarios: int = 50
-    """Test scenarios in each traffic, the first ones of the study's."""
+    """Test scenarios in each traffic."""
+    first_scenario: int = 0
+    """Number of the first one (those of the study, plan 6, begin at 8000)."""
     within: tuple[float, ...] = BOUNDS
     """A moment is critical where IDLE crashes within so many seconds; several are answered one after the other."""
     others: tuple[str, ...] = ("sumo", "slower", "random")
@@ -109,13 +112,14 @@ def check(options: Options) -> None:
     check_known("executor", [options.executor], EXECUTORS)
     for name, is_right, least in (
         ("scenarios", options.scenarios > 0, "above 0"),
+        ("first-scenario", options.first_scenario in NUMBERED, f"from 0 to {NUMBERED[-1]}"),
         ("traffics", len({*options.traffics}) == len(options.traffics) > 0, "one or more, each once"),
         ("within", len({*options.within}) == len(options.within) > 0, "one or more bounds, each once"),
         ("within", min(options.within, default=0.0) > 0.0, "seconds above 0"),
         ("workers", options.workers is None or options.workers > 0, "above 0"),
     ):
         if not is_right:
-            raise UserError(f"--{name} is {least}, not {getattr(options, name)}")
+            raise UserError(f"--{name} is {least}, not {getattr(options, name.replace('-', '_'))}")
 
 
 def questions(options: Options) -> list[list[Question]]:
@@ -164,12 +168,12 @@ def observation_of(drivers: Iterable[Entrant]) -> dict[str, Any]:
 
 def drive(options: Options, asked: Sequence[Sequence[Question]]) -> pd.DataFrame:
     """The record, what was driven before included."""
-    starts = range(0, options.scenarios, BATCH)
+    end = options.first_scenario + options.scenarios
     batches = [
-        Batch(options.out, question, pair, first, min(BATCH, options.scenarios - first))
+        Batch(options.out, question, pair, first, min(BATCH, end - first))
         for pair, own in enumerate(asked)
         for question in own
-        for first in starts
+        for first in range(options.first_scenario, end, BATCH)
     ]
     return driven(batches, options.executor, options.workers, "batches")
 
@@ -203,6 +207,7 @@ def takeover(options: Options, arguments: Sequence[str]) -> int:
         found = {
             "command": shlex.join(["python", "experiments/takeover.py", *arguments]),
             "scenarios": options.scenarios,
+            "first_scenario": options.first_scenario,
             "questions": [question.key for own in asked for question in own],
             "claims": [dict(zip(AT, at, strict=True)) | claims for at, claims in said.items()],
             **{name: frame.to_dict("records") for name, frame in frames.items()},

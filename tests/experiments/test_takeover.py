@@ -32,12 +32,12 @@ def few(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_path: Path, capsys) -> None:
-    options = replace(OPTIONS, out=tmp_path)
+    options = replace(OPTIONS, out=tmp_path, first_scenario=3)
     assert takeover.takeover(options, ["faster", "careful"]) == 0
     said, files = capsys.readouterr().out, {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
     assert len(files) == 2 and "skill, faster leads" in said and "crashes of careful, leading" in said
     rows = pd.read_parquet(tmp_path / "moments.parquet")
-    assert list(rows) == list(COLUMNS) and len(rows) == 12
+    assert list(rows) == list(COLUMNS) and len(rows) == 12 and {*rows["scenario"]} == {*range(3, 9)}
     found = read_json(tmp_path / "takeover.json")
     answers = {row["question"]: row for row in found["answers"]}
     danger = (rows["moment"].notna() | rows["sudden"]).groupby(rows["leader"]).mean()
@@ -63,6 +63,7 @@ def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_pa
         ({"traffics": ("risk",)}, "risky"),
         ({"others": ("careful",)}, "others"),
         ({"scenarios": 0}, "--scenarios is above 0"),
+        ({"first_scenario": -1}, "--first-scenario is from 0"),
         ({"within": ()}, "--within is"),
         ({"workers": 0}, "--workers is"),
         ({"config": ("policy_frequency",)}, "--config takes KEY=VALUE"),

@@ -34,7 +34,7 @@ class Sheet:
     return_range: float
     episode_length: int
     updates: int = 15_000
-    quick_updates: int = 3000
+    quick_updates: int = 2500
     steps_per_update: int = 4
     batch_size: int = 128
     clock: int | None = None
@@ -53,6 +53,7 @@ SHEETS: dict[str, Sheet] = {
         return_range=20.0,  # at most 1 a step for 20 s
         episode_length=17,
         updates=16_000,
+        quick_updates=2000,
         steps_per_update=3,
         batch_size=64,
     ),
@@ -77,6 +78,7 @@ SHEETS: dict[str, Sheet] = {
     "intersection": Sheet(
         return_range=14.0,  # -5 to 9
         episode_length=9,
+        quick_updates=1900,
         crossing=45.0,
         lane_changes=False,
         egos_without=frozenset({"faster", "weaving"}),  # the ego starts at its top speed

@@ -53,7 +53,7 @@ SHEETS: dict[str, Sheet] = {
         return_range=20.0,  # at most 1 a step for 20 s
         episode_length=17,
         updates=16_000,
-        quick_updates=2800,
+        quick_updates=3000,
         steps_per_update=3,
         batch_size=64,
     ),

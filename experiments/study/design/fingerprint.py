@@ -185,8 +185,8 @@ def learnt(settings: Mapping[str, Any]) -> Behaviour:
     from experiments.study.design.cell import LEARNER
 
     found = learner(LEARNER)
-    few = {"updates": UPDATES, "steps_per_update": 2, "warm_up": 100, "n_steps": 3, "batch_size": 32}
-    few |= {"learning_rate": 5e-3, "tau": 5e-3}
+    few: dict[str, float] = {"updates": UPDATES, "steps_per_update": 2, "warm_up": 100, "batch_size": 32}
+    few |= {"n_steps": 3, "learning_rate": 5e-3, "tau": 5e-3}
     trained: Any = found.train(Tape, settings_of(found.Settings, {**few, **settings}, "the learner"), 0)
     rng = np.random.default_rng(0)
     probes = rng.uniform(-1, 1, (PROBES, *Tape.observation_space.shape)).astype(np.float32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from itertools import product
 from typing import Any
 
@@ -137,7 +137,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         by_task=by_task(episodes, counted, {**COLUMNS, **SURROGATES}),
         drivers=drivers(at_home(episodes)),
         competence=verdicts,
-        competent=by_task(episodes, replace(counted, settings=competent(verdicts)), COLUMNS),
+        competent=by_task(episodes[Plan(settings=competent(verdicts)).covers(episodes)], counted, COLUMNS),
     )
 
 

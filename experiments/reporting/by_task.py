@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from itertools import product
 from typing import Any
 
 import pandas as pd
@@ -10,11 +11,24 @@ import pandas as pd
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.effects import ALL_TASKS
-from experiments.reporting.tables import BACKENDS, NONE, chosen, effect, points, titled, wide, with_setting
+from experiments.reporting.tables import (
+    BACKENDS,
+    MINUS,
+    NONE,
+    chosen,
+    effect,
+    points,
+    titled,
+    wide,
+    with_setting,
+)
 from experiments.study.design.levels import tasks_known
 from experiments.study.design.traffic import TRAFFICS
 
 WITHOUT_EVENTS = "only-parameters"
+# Of a side as `sides` and as `takeover.skill_or_caution` name it: treated agents have less, more, or it is not decided.
+SIGNS = {"less": MINUS, "more": "+", "open": "·"}
+SIGNS |= {"treated agents": MINUS, "control agents": "+", "not decided": "·"}
 HOPELESS = 0.8  # crash rate of the best rule in regular traffic
 
 
@@ -39,11 +53,58 @@ def both_arms(row: Mapping[str, Any]) -> str:
 
 
 def by_task(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFrame:
-    """Every task in both traffics, one below the other, in all columns; scores only where there are some.
+    """Every task in both traffics, one below the other: in every column both arms and their difference.
 
     Args:
         away: instead among risky drivers that cause no events, and on other simulators.
     """
+    return _lines(analysis, backend, away, {"": both_arms})
+
+
+def levels(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFrame:
+    """The same with one number a cell, for a first look: without hard crashes, differences and intervals."""
+
+    def mean(of: str) -> Callable[[Mapping[str, Any]], str]:
+        return lambda row: points(row[of], row["outcome"], signed=False)
+
+    cells = {", control": mean("mean_against"), ", treated": mean("mean_arm")}
+    return _lines(analysis, backend, away, cells, [name for name in COLUMNS if name != "hard_crash"])
+
+
+def signs(analysis: Analysis, backend: str, moments: pd.DataFrame) -> pd.DataFrame:
+    """Whether treated agents have less (-) or more (+) of an outcome than control agents, or it is open (·).
+
+    Args:
+        moments: of `takeover.skill_or_caution`; it may be empty.
+
+    Returns:
+        A row a task and traffic of the simulator of the training; empty where the plan asks nothing.
+    """
+    home = list(places(analysis, backend))[:2]
+    found: dict[tuple[str, str], dict[str, str]] = {}
+    for outcome in ("crashed", "crashes_per_100_km", "mean_speed", "return"):
+        for place in home:
+            for side, tasks in sides(analysis, backend, outcome, place).items():
+                for task in tasks:
+                    found.setdefault((task, place[1]), {})[COLUMNS[outcome].label] = SIGNS[side]
+    for row in moments.to_dict("records"):
+        for title, question in (("in danger", "careful"), ("crashes from equal moments", "skilled")):
+            text = str(row[f"who is more {question}"])
+            found.setdefault((row["task"], row["traffic"]), {})[title] = SIGNS.get(text, text)
+    order = {task: number for number, task in enumerate(tasks_known())}
+    rows = [{"task": task, "traffic": traffic, **cells} for (task, traffic), cells in found.items()]
+    frame = pd.DataFrame(rows or {"task": []})
+    return frame.sort_values("task", key=lambda column: column.map(order), kind="stable").fillna("")
+
+
+def _lines(
+    analysis: Analysis,
+    backend: str,
+    away: bool,
+    cells: Mapping[str, Callable[[Mapping[str, Any]], str]],
+    names: Iterable[str] = COLUMNS,
+) -> pd.DataFrame:
+    """A row a task and traffic with these cells of every outcome, by what they add to its title; no empty column."""
     where = places(analysis, backend)
     asked = list(where)[2:] if away else list(where)[:2]
     rows = chosen(analysis.by_task, backend=backend, scope=tasks_known())
@@ -51,15 +112,13 @@ def by_task(analysis: Analysis, backend: str, away: bool = False) -> pd.DataFram
     for task, own in rows.groupby("scope", sort=False):
         for simulator, traffic in asked:
             values = chosen(own, tested_on=simulator, traffic=traffic).set_index("outcome", drop=False)
-            cells = {
-                titled(column): both_arms(values.loc[name]) if name in values.index else NONE
-                for name, column in COLUMNS.items()
-            }
             words = where[simulator, traffic].removesuffix(" traffic")
-            short = words if simulator == backend else f"{traffic}, {simulator}"
-            lines.append({"task": task, "traffic": short, **cells})
-    frame, score = pd.DataFrame(lines), titled(COLUMNS["score"])
-    return frame.drop(columns=score) if lines and frame[score].eq(NONE).all() else frame
+            line = {"task": task, "traffic": words if simulator == backend else f"{traffic}, {simulator}"}
+            for name, (more, text) in product(names, cells.items()):
+                line[titled(COLUMNS[name]) + more] = text(values.loc[name]) if name in values.index else NONE
+            lines.append(line)
+    frame = pd.DataFrame(lines)
+    return frame.loc[:, frame.ne(NONE).any()] if lines else frame
 
 
 def means_of_tasks(analysis: Analysis, backend: str) -> pd.DataFrame:

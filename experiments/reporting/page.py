@@ -14,7 +14,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from experiments.analysis.analysis import Analysis
-from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
@@ -46,14 +45,18 @@ def page(
         others: analyses of further folders to compare with this one, by name. own: outcomes of the user's own in it.
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
+    pairs = skill(results.directory)
     return {
         "smoke": "smoke" in analysis.provenance["presets"],
         "backends": [
-            {**backend(name, results, analysis), "own": tables.own(analysis, name, own or {})}
+            {
+                **backend(name, results, analysis, pairs.get("table", pd.DataFrame())),
+                "own": tables.own(analysis, name, own or {}),
+            }
             for name in names
         ],
         "films": films(results.directory),
-        "skill": skill(results.directory),
+        "skill": pairs,
         "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,
         "checks": checks(results),
@@ -91,18 +94,20 @@ def computed(results: Results) -> dict[str, Any]:
     }
 
 
-def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
-    """All that is shown of one simulator."""
+def backend(name: str, results: Results, analysis: Analysis, moments: pd.DataFrame) -> dict[str, Any]:
+    """All that is shown of one simulator. moments: of `takeover.skill_or_caution`."""
     return {
         "name": BACKENDS.get(name, name),
         "key": name,
         **answer(name, analysis),
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
-        "tasks": by_task.by_task(analysis, name),
-        "away": by_task.by_task(analysis, name, away=True),
+        "signs": by_task.signs(analysis, name, moments),
+        "tasks": by_task.levels(analysis, name),
+        "away": by_task.levels(analysis, name, away=True),
+        "in_full": [by_task.by_task(analysis, name, away) for away in (False, True)],
         "means": by_task.means_of_tasks(analysis, name),
-        "competent": by_task.by_task(replace(analysis, by_task=analysis.competent), name),
+        "competent": by_task.levels(replace(analysis, by_task=analysis.competent), name),
         **{part: make(analysis, name) for part, make in tables.TABLES.items()},
         "placebo": chosen(analysis.placebo, backend=name).to_dict("records"),
     }
@@ -124,13 +129,14 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "where": [
             {
                 **{"words": words, "simulator": place[0], "traffic": place[1]},
-                **{column: by_task.sides(analysis, name, column, place) for column in COLUMNS},
+                "crashed": by_task.sides(analysis, name, "crashed", place),
             }
             for place, words in asked.items()
         ],
         "failing": by_task.failing(own),
         "hopeless": by_task.hopeless(analysis, name),
         "undrivable": analysis.notes["undrivable"],
+        "beside": [task for task in tasks_known() if task in set(single["task"]) - set(plan.tasks)],
         "missing": missing(single, plan),
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
         **sides(single),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 
 import pandas as pd
@@ -28,11 +29,12 @@ from experiments.reporting.tables import MINUS, chosen, p_value, plain
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, PAIR, WINDOW
 from experiments.study.design.arms import ARMS
 from experiments.study.design.levels import level_names
+from experiments.study.design.traffic import TRAFFICS
 from experiments.study.results.parquet import read_part
 
 RECORDS = "takeover/*/moments.parquet"  # of experiments/takeover.py, in a study's folder
 ARM_OF = dict(zip(PAIR, ARMS, strict=True))
-SIDES = dict(zip(("less", "more"), TREATED, strict=True))
+SIDES = dict(zip(TREATED, ("more", "less"), strict=True))  # of dangers and crashes, by who has fewer
 COLOURS = dict(zip(PAIR, (CONTROL, TREATMENT), strict=True))
 SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]
 
@@ -89,15 +91,18 @@ def skill_or_caution(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def decided(lines: pd.DataFrame) -> dict[str, dict[str, list[str]]]:
-    """What `skill_or_caution` decides: by traffic the tasks in which treated agents are "more careful" and the like."""
-    found: dict[str, dict[str, list[str]]] = {}
-    for traffic, own in lines.groupby("traffic"):
-        sides = [(adjective, word, who) for adjective in ADJECTIVES.values() for word, who in SIDES.items()]
-        found[str(traffic)] = {
-            f"{word} {adjective}": own.loc[own[f"who is more {adjective}"] == who, "task"].tolist()
-            for adjective, word, who in sides
-        }
+def decided(lines: pd.DataFrame) -> dict[str, dict[str, dict[str, list[str]]]]:
+    """What `skill_or_caution` decides of treated agents: tasks, by question ("careful", "skilled"), side and traffic.
+
+    A side is "less" or "more" of what they are judged by: dangers, or crashes from equal moments. None is empty.
+    """
+    found: dict[str, dict[str, dict[str, list[str]]]] = {}
+    for adjective, traffic in product(ADJECTIVES.values(), reversed(TRAFFICS)):
+        sides = found.setdefault(adjective, {})
+        for who, side in SIDES.items():
+            own = lines[(lines["traffic"] == traffic) & (lines[f"who is more {adjective}"] == who)]
+            if len(own):
+                sides.setdefault(side, {})[traffic] = own["task"].tolist()
     return found
 
 

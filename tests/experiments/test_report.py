@@ -20,7 +20,7 @@ from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.effects import ESTIMATE, MEANS, WORKING_COLUMNS, means
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting.by_task import both_arms
-from experiments.reporting.tables import chosen, difference, main
+from experiments.reporting.tables import MINUS, chosen, difference, main
 from experiments.reporting.takeover import skill_or_caution
 from experiments.study.compute import takeover
 from experiments.study.design import attainable
@@ -165,7 +165,7 @@ class TestAnswer:
         home = tmp_path_factory.mktemp("answer")
         synthetic.write(home, {"highway": (1,), "u-turn": (1, 2)}, seeds=6, tests=60, effect=-0.4)
         [found] = reported(home)
-        return found, Page((home / report.REPORT).read_text()).text, report.answer(home)
+        return found, Page((home / report.REPORT).read_text()).text, (home / report.TEXT).read_text()
 
     def test_the_first_sentence_says_what_holds_in_which_task(self, analysis):
         found, page, text = analysis
@@ -173,7 +173,7 @@ class TestAnswer:
             "outcome == 'crashed' and arm == 'treatment' and scope in ('highway', 'u-turn')"
         )
         assert (rows.query("traffic == 'risky'")["high"] < 0).all()  # as planted
-        first = text.splitlines()[0]
+        first = text.splitlines()[2].strip("*")
         assert first.startswith(
             "In risky traffic treated agents: fewer crashes on highway and u-turn. In regular"
         )
@@ -183,11 +183,11 @@ class TestAnswer:
         assert first.endswith("not decided on highway and u-turn.")
 
     @pytest.mark.parametrize("traffic", ["risky", "regular"])
-    def test_the_first_table_has_both_arms_and_the_difference_of_each_task(self, analysis, traffic):
-        found, page, _ = analysis
+    def test_the_last_tables_have_both_arms_and_the_difference_of_each_task(self, analysis, traffic):
+        found, _, text = analysis
         shown = found.by_task[found.by_task["outcome"].isin([*COLUMNS])]
         for row in shown.query("traffic == @traffic and scope == 'u-turn'").to_dict("records"):
-            assert both_arms(row) in page
+            assert both_arms(row).replace("\n", ": ") in text
 
 
 @pytest.mark.usefixtures("words_alone")
@@ -342,7 +342,12 @@ def test_skill_and_caution_stand_in_the_report_of_a_study_whose_pairs_were_drive
     lines = skill_or_caution(rows)
     assert lines["traffic"].tolist() == ["regular", "risky"]
     assert lines["who is more careful"].tolist() == ["treated agents"] * 2
-    assert "in regular traffic treated agents are more careful on u-turn. In risky" in page.text
+    careful = "get into danger less often in risky traffic on u-turn, in regular traffic on u-turn; elsewhere"
+    assert careful in page.text and careful in report.answer(tmp_path)
+    assert "agents crash neither less nor more often" in page.text
+    text = (tmp_path / report.TEXT).read_text()
+    signs = [line.split(" | ")[-2:] for line in text.splitlines() if line.startswith("| u-turn | r")]
+    assert signs[:2] == [[MINUS, "too few |"]] * 2
     assert set(lines["who is more skilled"]) <= {"not decided", "depends on whose moments", "too few"}
     assert all(value in page.text for value in lines["caution [points]"])
     takeover_file.write_bytes(takeover_file.read_bytes()[:-9])

@@ -14,7 +14,6 @@ import pytest
 from matplotlib.axes import Axes
 from scipy import stats
 
-from experiments.analysis.by_task import COLUMNS
 from experiments.reporting import by_task, figures, page, tables
 from experiments.reporting.card import ALL, card_figure
 from experiments.study.design.traffic import TRAFFICS
@@ -50,15 +49,11 @@ TASKS = rows_by_task(
 
 def test_the_table_of_tasks_has_a_line_a_task_and_traffic() -> None:
     table = by_task.by_task(analysis(by_task=TASKS), "sumo")
-    titles = ["task", "traffic", *map(tables.titled, COLUMNS.values())]
-    assert [*table.columns] == [title for title in titles if title != "score"]  # there are none
+    assert [*table.columns] == ["task", "traffic", "crashes [%]", "crashes per 100 km"]  # none that is empty
     marked = pd.concat([TASKS, rows_by_task(("u-turn", "sumo", "risky", "score", 0.2, 0.85, 0.5, 0.8))])
     scored = by_task.by_task(analysis(by_task=marked), "sumo")
-    assert [*scored.columns] == titles and scored["score"].tolist() == [
-        "0.20 → 0.85\n+0.65 [+0.50, +0.80]",
-        *"–––",
-    ]
-    assert table.iloc[:, :4].to_numpy().tolist() == [
+    assert scored["score"].tolist() == ["0.20 → 0.85\n+0.65 [+0.50, +0.80]", *"–––"]
+    assert table.to_numpy().tolist() == [
         ["u-turn", "risky", "74.0 → 13.0\n−61.0 [−64.0, −57.0]", "632 → 136\n−496 [−535, −457]"],
         ["u-turn", "regular", "2.0 → 2.0\n0.0 [−1.0, +1.0]", "–"],
         ["two-way", "risky", "80.0 → 71.0\n−9.0 [−13.0, −5.0]", "–"],
@@ -69,6 +64,32 @@ def test_the_table_of_tasks_has_a_line_a_task_and_traffic() -> None:
         ["u-turn", "risky drivers, no events", "1.7 → 0.8\n−0.9 [−1.6, −0.2]"],
         ["u-turn", "risky, replica", "65.0 → 9.0\n−56.0 [−60.0, −52.0]"],
     ]
+
+
+def test_the_first_table_has_one_number_a_cell_and_no_empty_column() -> None:
+    table = by_task.levels(analysis(by_task=TASKS), "sumo")
+    crashes = ["crashes [%], control", "crashes [%], treated"]
+    per_distance = ["crashes per 100 km, control", "crashes per 100 km, treated"]
+    assert [*table.columns] == ["task", "traffic", *crashes, *per_distance]
+    assert table.to_numpy().tolist()[:2] == [
+        ["u-turn", "risky", "74.0", "13.0", "632", "136"],
+        ["u-turn", "regular", "2.0", "2.0", "–", "–"],
+    ]
+
+
+def test_signs_are_of_the_plan_of_intervals_and_of_equal_moments() -> None:
+    """A task that the plan does not ask about has none of the primary outcome."""
+    primary = pd.DataFrame([("u-turn", "risky", "less")], columns=["scope", "term", "verdict"])
+    found = analysis(by_task=TASKS, primary=primary.assign(backend="sumo", outcome="crashed"))
+    whose = ["task", "traffic", "who is more careful", "who is more skilled"]
+    moments = pd.DataFrame([("two-way", "regular", "control agents", "too few")], columns=whose)
+    assert by_task.signs(found, "sumo", moments).to_numpy().tolist() == [
+        ["two-way", "regular", "", "", "+", "too few"],
+        ["u-turn", "risky", "−", "−", "", ""],
+    ]
+    assert by_task.signs(found, "sumo", pd.DataFrame()).columns[-1] == "crashes per 100 km"
+    nothing = analysis(by_task=TASKS[:0], primary=found.primary[:0])
+    assert by_task.signs(nothing, "sumo", pd.DataFrame()).empty
 
 
 def test_each_table_is_on_a_page() -> None:

@@ -25,7 +25,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from docs.settings import NAMES, learned, readme_agents, trainings
+from docs.settings import learned, readme_agents, trainings
 from experiments import evaluate
 from experiments.analysis import takeover
 from experiments.analysis.by_task import SURROGATES
@@ -227,7 +227,7 @@ FIGURES: dict[str, Callable[[], str]] = {
     ),
     "takeover": lambda: danger_figure(moments()),
     "entries": entries_figure,
-    "settings": lambda: crashes_against_speed(learned(), "settings", LEADS, NAMES),
+    "settings": lambda: crashes_against_speed(learned(), "settings", LEADS),
     "validation": lambda: validation_figure(checks()),
     "road-units": lambda: doses_figure(pd.read_parquet(ROOT / "results" / "road-units.parquet")),
     "rare": rare_curves,

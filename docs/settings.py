@@ -64,16 +64,6 @@ SETTINGS: dict[str, tuple[dict[str, Any], int]] = {  # by TASK/RISK
     "u-turn/0": ({**ATTENTION, "gamma": 0.8}, 40_000),
 }
 
-# Where the figure names a task, beside random actions, as `reporting.figures.NAMES`.
-NAMES = {
-    "roundabout": (8, -2, "left"),
-    "two-way": (7, -5, "left"),
-    "u-turn": (-4, 7, "right"),
-    "highway": (-7, -3, "right"),
-    "intersection": (-14, 11, "left"),
-    "two-way-brakes": (-8, -10, "right"),
-}
-
 Act = Callable[[Any], Any]
 
 

@@ -20,6 +20,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
@@ -44,6 +45,7 @@ TASKS = {
     "u-turn": "#a87400",
     "two-way-brakes": "#00808c",
 }
+HALO = [withStroke(linewidth=2.5, foreground=PAPER)]  # around words that stand on lines
 VARIABLES |= {colour: task for task, colour in TASKS.items()}
 # The variables of a figure that stands alone, in a dark scheme.
 DARK = {"ink": "#e6e9ed", "muted": "#98a2b0", "grid": "#343b45", "paper": "#14171b"}
@@ -194,8 +196,10 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
 
 TREATED = ("control agents", "treated agents")
 BESIDE = {"sumo": "SUMO's driver", "planner": "planner", "slower": "always SLOWER"}  # agents, and their names
-# Where the name of a task stands beside its control agents [points], and its alignment.
-NAMES = {"roundabout": (9, 1, "left"), "two-way": (7, 3, "left"), "u-turn": (-4, 9, "right")}
+LINE, LETTER = (
+    0.062,
+    0.017,
+)  # what a name takes in arrows(): a line's height, half of a letter's width (of the span)
 
 
 @larger
@@ -203,14 +207,13 @@ def crashes_against_speed(
     drivers: pd.DataFrame,
     name: str,
     leads: tuple[str, str] = TREATED,
-    names: Mapping[str, tuple[int, int, str]] = NAMES,
 ) -> str:
     """Crash rate against speed, an arrow from control to treated agents for each task, one panel for each traffic.
 
     drivers: of `analysis.drivers`, one setting of each task, with both arms. name: of the figure's ids. leads: what is
-    drawn as the two arms. names: as NAMES.
+    drawn as the two arms.
     """
-    figure, panels = arrows(drivers, 4.6, "mean_speed", 30.0, leads, names)
+    figure, panels = arrows(drivers, 4.6, "mean_speed", 30.0, leads)
     for panel in panels:
         panel.set(xlim=(0, 33), xticks=[0, 10, 20, 30])
     panels[0].set_ylabel("episodes with a crash")
@@ -219,24 +222,23 @@ def crashes_against_speed(
 
 
 def arrows(
-    drivers: pd.DataFrame,
-    height: float,
-    x: str,
-    span: float,
-    leads: tuple[str, str] = TREATED,
-    names: Mapping[str, Any] = NAMES,
+    drivers: pd.DataFrame, height: float, x: str, span: float, leads: tuple[str, str] = TREATED
 ) -> tuple[Figure, Any]:
     """A figure with a panel for each traffic, in which an arrow of each task leads from control to treated agents.
 
-    x: the horizontal outcome, and its span. leads, names: as of `crashes_against_speed`.
+    x: the horizontal outcome, and its span. leads: as of `crashes_against_speed`.
     """
     figure = Figure(figsize=(6.5, height), layout="constrained")
     panels = figure.subplots(1, len(TRAFFICS), sharex=True, sharey=True)
+    highest = 0.0
     for panel, traffic in zip(panels, TRAFFICS, strict=True):
-        for task, own in drivers[drivers["traffic"] == traffic].groupby("task", sort=False):
-            _task(panel, str(task), own.set_index("driver"), x, span, names)
+        there = drivers[drivers["traffic"] == traffic]
+        for task, own in there.groupby("task", sort=False):
+            _task(panel, str(task), own.set_index("driver"), x, span)
+        highest = max(highest, _names(panel, there[there["driver"] == ARMS[0]], x, span))
         panel.set_title(f"in {traffic} traffic")
         share_axis(panel)
+    panels[0].set_ylim(top=max(1.04, highest + LINE))
     marks = [(leads[0], "o", PAPER), (leads[1], "o", INK)]
     marks += [(words, MARKS[who], "none") for who, words in BESIDE.items() if who in set(drivers["driver"])]
     handles = [Line2D([], [], color=INK, ls="", marker=m, mfc=c, label=words) for words, m, c in marks]
@@ -244,10 +246,23 @@ def arrows(
     return figure, panels
 
 
-def _task(
-    panel: Axes, task: str, drivers: pd.DataFrame, x: str, span: float, names: Mapping[str, Any]
-) -> None:
-    """The drivers of a task in one traffic, by name. x: the horizontal outcome, and its span. names: as NAMES."""
+def _names(panel: Axes, starts: pd.DataFrame, x: str, span: float) -> float:
+    """Each task's name above its control agents, or above another name that it would cover; how high they reach."""
+    placed: list[tuple[float, float, float]] = []  # height, place, half of the width
+    for row in starts.sort_values("crashed").to_dict("records"):
+        half = LETTER * len(row["task"]) * span
+        place, height = float(np.clip(row[x], half, 1.1 * span - half)), row["crashed"] + 0.6 * LINE
+        for below, beside, its_half in sorted(placed):
+            if abs(place - beside) < half + its_half and height < below + LINE:
+                height = below + LINE
+        placed.append((height, place, half))
+        words: dict[str, Any] = {"color": TASKS.get(row["task"], INK), "fontweight": "bold", "fontsize": 10}
+        panel.text(place, height, row["task"], ha="center", zorder=5, path_effects=HALO, **words)
+    return max(placed, default=(0.0,))[0]
+
+
+def _task(panel: Axes, task: str, drivers: pd.DataFrame, x: str, span: float) -> None:
+    """The drivers of a task in one traffic, by name. x: the horizontal outcome, and its span."""
     colour = TASKS.get(task, INK)
     for name in BESIDE:
         if name in drivers.index:
@@ -266,9 +281,6 @@ def _task(
     if way > 0.05:  # else the head of the arrow is longer than it
         arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, "lw": 2, "shrinkA": 0, "shrinkB": 3}
         panel.annotate("", goal, origin, arrowprops=arrow, zorder=3)
-    right, up, side = names.get(task, (0, 9, "center"))
-    words: dict[str, Any] = {"color": colour, "fontweight": "bold", "fontsize": 10, "ha": side}
-    panel.annotate(task, origin, (right, up), textcoords="offset points", zorder=5, **words)
 
 
 @styled

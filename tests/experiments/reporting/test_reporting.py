@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from itertools import combinations, product
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -311,10 +312,29 @@ def test_arrows_lead_from_control_to_treated_agents_where_they_are_apart() -> No
         ("", (11.0, 0.2), (21.0, 0.8)),
         ("", (29.0, 0.1), (29.0, 0.2)),
     ]
-    names = [call.args[:2] for call in calls if "arrowprops" not in call.kwargs]
-    assert names[:2] == [("u-turn", (23.0, 0.01)), ("highway", (29.0, 0.03))] and len(names) == 4
     [mark] = [[*call.args[:2]] for call in drawn("plot", figures.crashes_against_speed, SPEEDS)]
     assert mark == [20.0, 0.03]
+
+
+def test_no_name_of_a_task_covers_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As they are drawn, wherever the agents are; and each stands above its own control agents."""
+    monkeypatch.setattr(figures, "to_svg", lambda figure, *_: figure)
+    random = np.random.default_rng(1)
+    for _ in range(5):
+        rates, paces = random.uniform(0, 1, 12) ** 3, random.uniform(0, 30, 12)
+        places = [*product(figures.TASKS, TRAFFICS)]
+        starts = [(*place, "control", rates[k], paces[k]) for k, place in enumerate(places)]
+        figure: Any = figures.crashes_against_speed(
+            speeds(*starts, *((*place, "treatment", 0.5, 15.0) for place in places)), "study"
+        )
+        figure.draw_without_rendering()
+        for panel in figure.axes:
+            boxes = [words.get_window_extent() for words in panel.texts if words.get_text()]
+            assert len(boxes) == len(figures.TASKS)
+            assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+            assert all(panel.bbox.y1 >= box.y1 for box in boxes)
+        heights = {words.get_text(): words.get_position()[1] for words in figure.axes[0].texts}
+        assert all(heights[task] > rate for task, rate in zip(figures.TASKS, rates[::2], strict=True))
 
 
 def test_the_report_shows_the_lightest_settings_that_have_both_arms() -> None:

@@ -78,14 +78,17 @@ def resolved(
     """Who drives in these groups of scenarios, with digests; each has driven one of its scenarios.
 
     Raises:
-        UserError: a policy cannot be made, or does not fit an environment.
+        UserError: a policy cannot be made, or does not fit an environment; the message says of which task.
     """
     found: dict[Place, Entrant] = {}
     for own in groups.values():
         place = own[0].task, own[0].level
         if place not in found:
             with closing(opened(own[0], who[place])) as env:
-                found[place] = who[place].resolved(env)
+                try:
+                    found[place] = who[place].resolved(env)
+                except UserError as error:
+                    raise UserError(f"{place[0]} {place[1]}: {error} (--tasks chooses tasks)") from error
             drive(found[place], own[:1])
     return found
 

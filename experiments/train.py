@@ -62,7 +62,10 @@ def draw(directory: Path, cell: Cell) -> Path:
     episodes = Store(directory).training(cell.name).set_index("step")
     smooth = episodes[["return", "crashed"]].astype(float).rolling(SMOOTH, min_periods=1).mean()
     title = f"{cell.slug}: training episodes with exploration, mean of {SMOOTH}"
-    axes = smooth.plot(subplots=True, figsize=(8, 5), grid=True, xlabel="environment steps", title=title)
+    form: dict[str, Any] = {"subplots": True, "figsize": (8, 5), "grid": True, "legend": False}
+    axes = smooth.plot(xlabel="environment steps", title=title, **form)
+    for panel, name in zip(axes, ("return", "episodes with a crash"), strict=True):
+        panel.set_ylabel(name)
     file = directory / f"{cell.name}.png"  # another training of this slug has another name
     with atomic(file) as opened:
         axes[0].figure.savefig(opened, format="png", dpi=110)

@@ -39,7 +39,8 @@ class Contents:
     """What route and additional files hold together.
 
     Attributes:
-        vehicles: ids of vehicles, trips and flows.
+        vehicles: ids of vehicles and trips.
+        flows: ids of flows, whose vehicles are named ID.0, ID.1 and so on.
         ids: of all elements.
         models: car-following models of the vehicle types, by type; "" where a type names none.
         distributions: ids of distributions of vehicle types.
@@ -52,6 +53,7 @@ class Contents:
 
     def __init__(self) -> None:
         self.vehicles: set[str] = set()
+        self.flows: set[str] = set()
         self.ids: set[str] = set()
         self.models: dict[str, str] = {}
         self.distributions: set[str] = set()
@@ -65,19 +67,17 @@ class Contents:
         """That a vehicle of this id comes, as far as the files say.
 
         Raises:
-            ConfigError: there is none; the message names near ids.
+            ConfigError: there is none, or it is a flow; the message names vehicles.
         """
-        known = sorted(self.vehicles)
-        stem = name.rpartition(".")[0]  # of a vehicle of a flow
+        stem, _, number = name.rpartition(".")  # of a vehicle of a flow
         if name in self.left_out or stem in self.left_out:
             raise ConfigError(f"SUMO leaves out the vehicle {name!r}: {UNSORTED}")
-        if name in known or stem in known:
+        if name in self.vehicles or (stem in self.flows and number.isdigit()):
             return
-        hint = (
-            did_you_mean(name, known)
-            or did_you_mean(stem, known)
-            or f"they have {', '.join(known[:20]) or 'none'}"
-        )
+        if name in self.flows:
+            raise ConfigError(f"{name} is a flow: its vehicles are named {name}.0, {name}.1, ...")
+        known = sorted(self.vehicles | {f"{flow}.0" for flow in self.flows - {""}})
+        hint = did_you_mean(name, known) or f"they have {', '.join(known[:20]) or 'none'}"
         raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
 
     def check_type(self, name: str) -> None:
@@ -196,7 +196,7 @@ class _Reader:
         if tag == "vTypeDistribution":
             contents.distributions.add(name)
         if tag in VEHICLES:
-            contents.vehicles.add(name)
+            (contents.flows if tag == "flow" else contents.vehicles).add(name)
             if {"arrivalPos", "arrivalEdge"} & has.keys():
                 contents.arrivals[name] = Arrival(has.get("arrivalPos", "max"), has.get("arrivalEdge", ""))
         if tag in REMOVING:

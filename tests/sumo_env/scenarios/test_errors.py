@@ -65,6 +65,8 @@ def own(**more: Any) -> dict[str, Any]:
 
 ROWS: list[tuple[dict[str, Any], type[Exception], str]] = [
     (ego(ego_vehicle="wst.0"), ConfigError, "did you mean"),
+    (ego(ego_vehicle="taxi7"), ConfigError, "they have east.0, ego, "),
+    (ego(ego_vehicle="west"), ConfigError, "west is a flow: its vehicles are named west.0, west.1, ..."),
     (ego(ego_vehicle=None), ConfigError, "one of ego_route"),
     (ego(ego_type="DEFAULT_VEHTYPE"), ConfigError, "is added"),
     (ego(config={"initial_speed": "max"}), ConfigError, "'initial_speed'"),

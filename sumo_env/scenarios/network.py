@@ -191,8 +191,11 @@ class NetworkTask(Task):
     def _take_ego(self, route: Any, trips: Sequence[tuple[str, str]], type: str) -> tuple[Origin, ...]:
         """The ways in which the ego may come; one is drawn for each episode."""
         is_of_files = bool(self._learning or self._car_type)
-        if bool(route) + bool(trips) + is_of_files != 1:
-            raise ConfigError("the ego needs one of ego_route, ego_trips and ego_vehicle")
+        ways = {"ego_route": route, "ego_trips": trips, "ego_vehicle": is_of_files}
+        given = [name for name, way in ways.items() if way]
+        if len(given) != 1:
+            gave = f"both {' and '.join(given)}" if given else "none"
+            raise ConfigError(f"the ego needs exactly one of {', '.join(ways)}; you gave {gave}")
         if is_of_files:
             if type:
                 raise ConfigError("ego_type is for an ego that is added: a vehicle of the files has its own")

@@ -15,7 +15,11 @@ from sumo_env.tasks import TASKS
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Drive episodes until the window is closed, and say how each has ended."""
+    """Drive episodes until the window is closed, and say how each has ended.
+
+    Raises:
+        SystemExit: a wrong argument (2); pygame is missing (1).
+    """
     parser = argparse.ArgumentParser(prog="python -m sumo_env.play", description=__doc__)
     parser.add_argument("--task", default="highway", choices=tuple(TASKS))
     parser.add_argument("--risk", type=float, default=0.0, help="dose of risky traffic, 0 to 1")
@@ -26,6 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         env = DrivingEnv(given.task, {"risk": given.risk, "manual_control": True}, render_mode="human")
     except ConfigError as error:
         parser.error(str(error))
+    except ImportError as error:  # of pygame
+        raise SystemExit(str(error)) from None
     for seed in count(given.seed):
         env.reset(seed=seed)
         total, over = 0.0, False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import sys
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
@@ -124,3 +125,9 @@ def test_play_says_how_each_episode_has_ended(capsys: pytest.CaptureFixture[str]
     assert [line.split(":")[0] for line in lines] == ["seed 3", "seed 4"] and "return" in lines[0]
     with pytest.raises(SystemExit):
         play.main(["--risk", "2"])
+
+
+def test_play_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(SystemExit, match=r"^render_mode='human' needs pygame: pip install pygame-ce$"):
+        play.main([])

@@ -208,7 +208,7 @@ def evaluate(options: Options, arguments: Sequence[str]) -> int:
     for group, reason in card["failed"].items():
         print(f"{group} was not driven: {reason}", file=sys.stderr)
     for crash in crashes if options.film else ():
-        name = re.sub(r"[^\w.-]", "-", card["name"])
+        name = re.sub(r"[^\w.-]", "-", card["name"].removesuffix(".zip"))
         file = options.out / f"{name}-{crash.scenario.task}.gif"
         save_gif(beside_another(crash, card["name"]), file)
         print(f"film of the crash at the highest closing speed: {file}")

@@ -70,7 +70,9 @@ def test_the_worst_crash_of_a_task_is_filmed_beside_a_driver_without_one(
 
     monkeypatch.setattr("experiments.study.replaying.crash.side_by_side", side_by_side)
     asked = evaluate.Options("faster", tasks=("u-turn",), quick=True, film=True, out=tmp_path)
-    _, _, [crash] = evaluate.evaluated(asked, [])
+    card, rules, [crash] = evaluate.evaluated(asked, [])
+    named = {**card, "name": "ppo.zip"}, rules, [crash]
+    monkeypatch.setattr(evaluate, "evaluated", lambda *_: named)
     assert evaluate.evaluate(asked, []) == 0
     monkeypatch.setattr("experiments.study.replaying.crash.OTHERS", ("faster", "idle"))
     evaluate.beside_another(crash, "mine")
@@ -80,12 +82,12 @@ def test_the_worst_crash_of_a_task_is_filmed_beside_a_driver_without_one(
         and own.endswith(f"closing at {crash.speed:.0f} m/s")
         and "crash after" not in other
     )
-    assert alone == own.replace("faster", "mine") and there == where and "Nobody of faster, idle" in words
+    assert alone == own.replace("ppo.zip", "mine") and there == where and "Nobody of faster, idle" in words
     assert (
         f"u-turn {crash.scenario.level}, {crash.scenario.traffic}, scenario {crash.scenario.number}" in where
     )
-    assert (tmp_path / "faster-u-turn.gif").read_bytes().startswith(b"GIF")
-    assert "faster-u-turn.gif" in capsys.readouterr().out
+    assert (tmp_path / "ppo-u-turn.gif").read_bytes().startswith(b"GIF")
+    assert "ppo-u-turn.gif" in capsys.readouterr().out
 
 
 FAILS = """

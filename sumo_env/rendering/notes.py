@@ -50,13 +50,13 @@ def notes(scene: Scene, scenario: Scenario, met: EgoStep | None, action: str, du
     if light.state in LIGHTS and light.distance <= SEEN_LIGHT:
         lines.append((LIGHTS[light.state], f"{LIGHTS[light.state]} in {light.distance:.0f} m"))
     other = met.crash.other if met is not None and met.crash is not None else ""
-    least = inf if met is None else met.min_ttc
     marks = [*_events(scene, scenario), *_crashes(scene, other)]
     if scene.crashed[0]:
         lines.append((CRASH, f"crash with {other}" if other else "crash"))
-    elif least < NEAR_MISS_TTC:
-        lines.append((NEAR_MISS, f"near miss: {least:.1f} s"))
-        marks += _near(scene)
+    elif met is not None and met.min_ttc < NEAR_MISS_TTC:
+        for mark in _near(scene):  # of this moment: the step may have another one
+            lines.append((NEAR_MISS, f"near miss: {mark.text}"))
+            marks.append(mark)
     return Notes(tuple(marks), tuple(lines), min(scene.time / duration, 1.0))
 
 
@@ -82,7 +82,7 @@ def _crashes(scene: Scene, other: str) -> Iterator[Mark]:
 
 
 def _near(scene: Scene) -> Iterator[Mark]:
-    """The vehicle that the ego would hit first, if that were a near miss."""
+    """The vehicle that the ego would hit first, if that were a near miss now; its time is cut, not rounded."""
     own, *halves = ([size / 2.0 for size in scene.size(name)] for name in scene.ids)
     ego = state_of(scene, 0)
     least, name = inf, ""
@@ -91,4 +91,4 @@ def _near(scene: Scene) -> Iterator[Mark]:
         if time < least:
             least, name = time, scene.ids[row]
     if name:
-        yield Mark(NEAR_MISS, name, f"{least:.1f} s")
+        yield Mark(NEAR_MISS, name, f"{int(10.0 * least) / 10.0} s")

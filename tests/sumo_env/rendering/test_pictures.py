@@ -7,7 +7,8 @@ from dataclasses import replace
 from functools import partial
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -21,12 +22,13 @@ from sumo_env.env import DrivingEnv
 from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
 from sumo_env.rendering import draw
 from sumo_env.rendering.labels import Box, beside
-from sumo_env.rendering.notes import CRASH, EVENT, Mark, Notes, _near
+from sumo_env.rendering.notes import CRASH, EVENT, NEAR_MISS, Mark, Notes, notes
 from sumo_env.rendering.pictures import RING
 from sumo_env.rendering.scenery import FILM, HIGHWAY_ENVS, _colour
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.scene import OBSTACLE as PREFIX
 from sumo_env.scene import OBSTACLE_SIZE, Scene
+from sumo_env.simulator import EgoStep
 from tests.sumo_env.rollout import drive
 
 GROUND, ASPHALT, WHITE, _, EGO, FURTHER, OTHER, CRASHED, OBSTACLE, _, IN_EVENT = FILM
@@ -104,9 +106,15 @@ def test_learning_cars_and_obstacles_have_a_colour_and_size_of_their_own() -> No
     assert _colour(scene((100, 4, 0), crashed=(0,)), 0, HIGHWAY_ENVS) == HIGHWAY_ENVS.crashed
 
 
-def test_who_would_be_hit_first_is_marked() -> None:
-    near = replace(scene((100, 4, 0), (110, 4, 0), (120, 4, 0)), speed=np.array([20.0, 5.0, 5.0]))
-    assert [(mark.name, mark.text) for mark in _near(near)] == [("v1", "0.3 s")]
+@pytest.mark.parametrize(("gap", "text"), [(5.0, "0.3 s"), (22.49, "1.4 s"), (30.0, None)])
+def test_who_would_be_hit_first_is_marked_with_the_time_of_this_moment(gap: float, text: str | None) -> None:
+    """Whatever the policy step has met; what is less than 1.5 s never reads as 1.5 s."""
+    near = replace(scene((100, 4, 0), (105 + gap, 4, 0), (140, 4, 0)), speed=np.array([20.0, 5.0, 5.0]))
+    said = notes(
+        near, cast(Any, SimpleNamespace(events=())), EgoStep(("a", "b", 0), None, 0.1, 9.0), "", 40.0
+    )
+    assert said.marks == (() if text is None else (Mark(NEAR_MISS, "v1", text),))
+    assert said.lines[1:] == (() if text is None else ((NEAR_MISS, f"near miss: {text}"),))
 
 
 def test_headings_turn_clockwise_on_the_screen() -> None:
@@ -157,12 +165,12 @@ def test_notes_say_what_info_says(make: Any, monkeypatch: pytest.MonkeyPatch) ->
             env.render()
             kinds = [kind for kind, _ in drawn[-1].lines]
             assert all(mark.text for mark in drawn[-1].marks if mark.kind == EVENT)
-            assert ("near miss" in kinds) == info["near_miss"] and (CRASH in kinds) == info["crashed"]
+            assert (NEAR_MISS in kinds) <= info["near_miss"] and (CRASH in kinds) == info["crashed"]
             found |= {*kinds}
             if info["crashed"]:
                 other = info["crash"]["other"]
                 assert other in drawn[-1].lines[-1][1] and Mark(CRASH, other, other) in drawn[-1].marks
-    assert {"", "near miss", CRASH} <= found
+    assert {"", NEAR_MISS, CRASH} <= found
     env.close()
 
 

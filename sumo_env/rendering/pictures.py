@@ -80,7 +80,7 @@ def _write_beside_cars(
     radius: Mapping[str, float],
     words: list[Box],
 ) -> None:
-    """Write the words of marks beside their cars, where those are in the picture.
+    """Write the words of marks beside their cars, where those are wholly in the picture.
 
     radius: of the largest ring around a vehicle [m]; words: written already, to which the new ones are added.
     """
@@ -88,11 +88,11 @@ def _write_beside_cars(
     cars = [_extent(scene, row, camera) for row in range(len(scene))]
     for mark in marks:
         car = cars[scene.ids.index(mark.name)]
-        centre = (car.left + car.right) / 2, (car.top + car.bottom) / 2
-        if not mark.text or not whole.holds(*centre):
+        if not mark.text or not (whole.holds(car.left, car.top) and whole.holds(car.right, car.bottom)):
             continue
         left, top, right, bottom = font.getbbox(mark.text, stroke_width=2)
         reach, size = radius[mark.name] * camera.scale, (right - left, bottom - top)
+        centre = (car.left + car.right) / 2, (car.top + car.bottom) / 2
         words.append(beside(centre, reach, size, whole, words, cars))
         corner = words[-1].left - left, words[-1].top - top
         pen.text(corner, mark.text, COLOURS[mark.kind], font, stroke_width=2, stroke_fill=FILM.outline)

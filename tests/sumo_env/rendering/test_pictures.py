@@ -85,6 +85,14 @@ def test_a_vehicle_is_marked_while_a_risk_event_acts_on_it() -> None:
     assert pixel(after, 115 + RING - 0.2, 4) == ASPHALT
 
 
+@pytest.mark.parametrize(("x", "is_named"), [(127.0, True), (128.0, False)])
+def test_a_car_that_the_picture_cuts_off_has_a_ring_and_no_word(x: float, is_named: bool) -> None:
+    """The picture ends at x = 130 m: the word would stand beside another car."""
+    now = scene((100, 4, 0), (x, 4, 0))
+    word, ring = (draw(now, highway(4), VIEW, marked(Mark(EVENT, "v1", text))) for text in ("surge", ""))
+    assert (word != ring).any() == is_named and pixel(ring, x - RING + 0.2, 4) == IN_EVENT
+
+
 def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:
     picture = draw(scene((100, 4, 0), (115, 0, 0), (110, 8, 0), crashed=(2,)), highway(4), VIEW)
     assert pixel(picture, 99.5, 4) == EGO

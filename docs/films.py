@@ -78,7 +78,7 @@ class Watched(DrivingEnv):
     def ego_place(self) -> list[float]:
         """Where the ego is in the picture, as shares of its width and height."""
         view, place = self.config, list(self.config["centering_position"])
-        ego = self.scene.x.item(0), self.scene.y.item(0)
+        ego = self.pictured.x.item(0), self.pictured.y.item(0)
         size = view["screen_width"], view["screen_height"]
         for axis, middle in enumerate(self.middle):
             if middle is not None:

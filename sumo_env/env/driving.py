@@ -279,13 +279,14 @@ class DrivingEnv(ReadAsHighwayEnv):
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode.
 
-        In the render mode "human" it is shown in a window, by `reset` and `step`, and None is returned.
+        In the render mode "human" it is shown in a window, by `reset` and `step`, and None is returned. After a step
+        with the ego's contact that a window or a film shows whole, the picture is of the contact (`pictured`).
         """
         if self.render_mode is None:
             gym.logger.warn('render() needs gym.make(..., render_mode="rgb_array")')
             return None
         self.ensure_reset("render()", is_open=False)
-        picture = self._screen.picture(self._car, self.task, self.config)
+        picture = self._screen.picture(self.pictured, self._car.episode, self.task, self.config)
         if self.render_mode != "human":
             return picture
         if not self._screen.show(picture, self.task.name, self.task.frequency(self.config)):
@@ -294,15 +295,26 @@ class DrivingEnv(ReadAsHighwayEnv):
                 self.config = {**self.config, "manual_control": False}
         return None
 
+    @property
+    def pictured(self) -> Scene:
+        """The scene that `render` shows: the present one, or in a step that was filmed that of the ego's contact."""
+        return self.scene if self._screen.contact is None else self._screen.contact
+
     def _film(self, scenes: Sequence[Scene]) -> None:
-        """Show the scenes of a policy step in the window, or add all but the last one to the film, which has that."""
-        screen = self._screen
+        """Show the scenes of a policy step in the window, or add all but the last one to the film, which has that.
+
+        The contact of the ego is the last one: until the step is over, cars go on through each other.
+        """
+        screen, crashed = self._screen, [scene.crashed[:1].any() for scene in (self.scene, *scenes)]
+        touch = crashed.index(True) if True in crashed else 0  # 0: no contact, or one of an earlier step
+        screen.contact, scenes = None, scenes[:touch] if touch else scenes
         for scene in scenes if screen.window is not None else scenes[:-1]:
             self.scene = scene
             if screen.window is not None:
                 self.render()
             elif screen.video is not None and not self._car.episode.is_closed:
                 screen.video._capture_frame()
+        screen.contact = scenes[-1] if touch else None
 
     # -- SUMO ----------------------------------------------------------------------------------------------
 

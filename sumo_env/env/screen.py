@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.config import Config, ConfigError, warn_once
-from sumo_env.env.episode import CarEpisode
+from sumo_env.env.episode import Episode
+from sumo_env.scene import Scene
 from sumo_env.spaces.actions import ActionType, ContinuousAction, DiscreteAction
 from sumo_env.tasks.base import Task
 
@@ -91,6 +92,7 @@ class Screen:
         self.window = Window() if render_mode == "human" else None
         self.video: gym.wrappers.RecordVideo[Any, Any] | None = None  # films every simulation step
         self.action_name = ""  # of the last meta-action of this episode, which pictures show
+        self.contact: Scene | None = None  # at the ego's contact in the last policy step, if that was watched
 
     @property
     def is_watched(self) -> bool:
@@ -105,13 +107,13 @@ class Screen:
             self.action_name = kind.names.get(np.asarray(action).item(), "")
         return action
 
-    def picture(self, car: CarEpisode, task: Task, config: Config) -> NDArray[np.uint8]:
-        """The scene as a car sees it, with notes."""
+    def picture(self, scene: Scene, episode: Episode, task: Task, config: Config) -> NDArray[np.uint8]:
+        """A scene of an episode, with notes."""
         from sumo_env import rendering  # Pillow is imported when the first picture is drawn
 
-        met, limit = car.episode.met, float(config["duration"])
-        notes = rendering.notes(car.scene, car.episode.scenario, met, self.action_name, limit)
-        return rendering.draw(car.scene, task.road(config), config, notes)
+        limit = float(config["duration"])
+        notes = rendering.notes(scene, episode.scenario, episode.met, self.action_name, limit)
+        return rendering.draw(scene, task.road(config), config, notes)
 
     def show(self, picture: NDArray[np.uint8], title: str, frequency: float) -> bool:
         """Show a picture in the window, if there is one; False once the user has closed it."""

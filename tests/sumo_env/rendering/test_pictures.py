@@ -224,6 +224,23 @@ def test_films(tmp_path: Path, by_substep: bool) -> None:
     assert sumo_env.env.DrivingEnv.metadata["render_fps"] == 5  # of the class: untouched
 
 
+@pytest.mark.parametrize("make", [DrivingEnv, partial(ReplicaEnv, scenarios="seeded")])
+def test_a_film_stops_at_the_contact_and_the_next_episode_goes_on(make: Any) -> None:
+    """The step goes on in the simulation, to its end, where cars have passed through each other."""
+    env = make("u-turn", {"risk": 1.0, "simulation_frequency": 10}, render_mode="rgb_array")
+    shown: list[Scene] = []
+    env.set_record_video_wrapper(
+        SimpleNamespace(recording=True, _capture_frame=lambda: shown.append(env.pictured))
+    )
+    *_, (*_, info) = drive(env, 1, seed=0)
+    assert info["crashed"] and not any(each.crashed[0] for each in shown)
+    assert env.pictured.crashed[0] and not env.scene.time % 1.0
+    assert info["crash"]["time"] <= env.pictured.time < info["crash"]["time"] + 0.101 < env.scene.time
+    env.reset(seed=1)
+    assert env.pictured is env.scene
+    env.close()
+
+
 # -- words beside cars -------------------------------------------------------------------------------------------------
 
 PICTURE = Box(0.0, 0.0, 280.0, 200.0)

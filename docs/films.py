@@ -33,6 +33,7 @@ from experiments.replay import filmed
 from experiments.study.replaying.avoid import way_out
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 from sumo_env.env import DrivingEnv
+from sumo_env.tasks import get_task
 
 IMAGES = ROOT / "docs" / "img"
 
@@ -49,12 +50,14 @@ PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
 }
 STRIP = {"screen_width": 320, "screen_height": 114, "centering_position": [0.5, 0.5]}
 HIGH = {"screen_width": 240, "screen_height": 280}
+NEARER = get_task("two-way").levels["5+2"]
 Place = tuple[float | None, float | None]
 # task -> seed, configuration of its film, and what is in its middle [m]: None where the camera follows the ego. The
-# seeds are the first ones with a near miss or crash beside a car in a risk event within 5 s.
+# seeds are the first ones with a near miss or crash beside a car in a risk event within 5 s; on the two-way road, where
+# oncoming cars are met by then at its level 5+2, the first one with a crash.
 FILMS: dict[str, tuple[int, dict[str, Any], Place]] = {
     "highway": (5, {**STRIP, "scaling": 4.5}, (None, 3.6)),
-    "two-way": (1, {**STRIP, "scaling": 6.0}, (None, 1.0)),
+    "two-way": (2, {**STRIP, **NEARER, "scaling": 5.0, "centering_position": [0.35, 0.5]}, (None, 1.0)),
     "merge": (12, {**STRIP, "scaling": 3.8}, (None, 4.6)),
     "roundabout": (2, {**HIGH, "screen_width": 280, "scaling": 4.3}, (0.0, -4.0)),
     "intersection": (0, {**HIGH, "scaling": 5.5}, (2.0, 6.0)),

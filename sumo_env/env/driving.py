@@ -305,7 +305,7 @@ class DrivingEnv(ReadAsHighwayEnv):
 
         The contact of the ego is the last one: until the step is over, cars go on through each other.
         """
-        screen, crashed = self._screen, [scene.crashed[:1].any() for scene in (self.scene, *scenes)]
+        screen, crashed = self._screen, [bool(scene.crashed[:1].any()) for scene in (self.scene, *scenes)]
         touch = crashed.index(True) if True in crashed else 0  # 0: no contact, or one of an earlier step
         screen.contact, scenes = None, scenes[:touch] if touch else scenes
         for scene in scenes if screen.window is not None else scenes[:-1]:

@@ -5,7 +5,7 @@ docs/img/films/*.gif          each task at risk 1, while the ego is in sight, in
 docs/img/risk.gif             README's Drive at risk 0, at risk 1, and as its crash could have been avoided
 docs/img/scenarios.png        one moment of each environment in examples/scenarios, with SUMO as the driver
 
-``python docs/films.py films`` draws the second line alone, ``risk`` the third, ``scenarios`` the last one.
+``python docs/films.py environments`` draws the first line alone, ``films``, ``risk`` and ``scenarios`` the others.
 docs/img/films/town.gif is what the script of docs/scenarios.md writes.
 """
 
@@ -41,7 +41,7 @@ WIDE = {"screen_width": 900}
 # task -> seed, steps driven, configuration
 PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
     "highway": (0, 6, {**WIDE, "screen_height": 130}),
-    "two-way": (0, 3, {**WIDE, "screen_height": 90, "centering_position": [0.3, 0.6]}),
+    "two-way": (0, 3, {**WIDE, "screen_height": 130, "centering_position": [0.3, 0.6]}),
     "roundabout": (1, 3, {"scaling": 4.5}),
     "intersection": (2, 3, {}),
     "u-turn": (1, 3, {"scaling": 4.5, "centering_position": [0.35, 0.85]}),
@@ -181,6 +181,6 @@ def scenarios() -> None:
 
 
 if __name__ == "__main__":
-    parts = {"films": films, "risk": risk, "scenarios": scenarios}
-    for draw in [parts[name] for name in sys.argv[1:]] or [environments, films, risk, scenarios]:
+    parts = {draw.__name__: draw for draw in (environments, films, risk, scenarios)}
+    for draw in [parts[name] for name in sys.argv[1:]] or parts.values():
         draw()

@@ -62,7 +62,7 @@ SHEETS: dict[str, Sheet] = {
         return_range=15.0,
         episode_length=6,
         updates=30_000,
-        quick_updates=5000,
+        quick_updates=3000,
         steps_per_update=2,
         batch_size=64,
         clock=20,
@@ -72,6 +72,7 @@ SHEETS: dict[str, Sheet] = {
     "roundabout": Sheet(
         return_range=11.0,
         episode_length=10,
+        quick_updates=4000,
         clock=15,
         crossing=24.5,  # an ego's length beyond the entry
     ),
@@ -86,6 +87,7 @@ SHEETS: dict[str, Sheet] = {
     "u-turn": Sheet(
         return_range=10.0,
         episode_length=9,
+        quick_updates=1500,
         clock=13,
     ),
     # In no published study. The ego starts at its top speed.

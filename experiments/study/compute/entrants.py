@@ -195,11 +195,8 @@ def _published(policy: str) -> list[Entrant]:
             found.append(Entrant(name, place, partial(_loaded, name), observation=seen))
     if not found and Path(policy).is_file():
         raise UserError(f"{policy} is a file: what makes a policy in a Python file is named as {policy}:make")
-    if (
-        not found
-        and "/" in policy
-        and policy.partition("/")[0] not in {name.partition("/")[0] for name in cards}
-    ):
+    words = {word for name in cards for word in name.split("/")}
+    if not found and "/" in policy and words.isdisjoint(policy.split("/")):
         raise UserError(f"there is no directory {policy}")
     if not found:
         raise unknown("policy", policy, [*RULES, *arms, "FILE:MAKE", "a zip file", "a directory"])

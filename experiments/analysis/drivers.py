@@ -46,3 +46,16 @@ def _with_ends(name: str, scores: estimate.Scores) -> dict[str, float]:
     floor = estimate.binomial_floor(scores[np.newaxis]) if name in SHARES else 0.0
     found = estimate.interval(estimate.linear([(scores, 1.0)], floor))
     return {name: found.estimate, f"{name}_low": float(found.low), f"{name}_high": float(found.high)}
+
+
+def hazards(drives: pd.DataFrame) -> pd.DataFrame:
+    """Of each agent's drives (rows: cell) still on the road, the share that crashes in each second (columns).
+
+    drives: test episodes as from `scores.with_outcomes`; NaN where an agent has none left.
+    """
+    second = np.ceil(drives["crash_free_time"]).clip(lower=1).astype(int)
+    seconds = range(1, second.max() + 1)
+    ending = pd.crosstab(drives["cell"], second).reindex(columns=seconds, fill_value=0)
+    crashing = pd.crosstab(drives["cell"], second, drives["crashed"], aggfunc="sum")
+    driving = ending.iloc[:, ::-1].cumsum(axis=1).iloc[:, ::-1]
+    return crashing.reindex(columns=seconds).fillna(0.0) / driving.where(driving > 0)

@@ -24,6 +24,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
+from experiments.analysis.drivers import hazards
 from experiments.analysis.plan import ALPHA
 from experiments.reporting.tables import MINUS
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
@@ -363,19 +364,6 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
     figure.supxlabel("environment steps (thousands)", fontsize=8.5)
     _legend(figure, _arms(curves), [], ls="-")
     return to_svg(figure, f"{backend}-learning", "Return and crash rate of training episodes, by arm")
-
-
-def hazards(drives: pd.DataFrame) -> pd.DataFrame:
-    """Of each agent's drives (rows: cell) still on the road, the share that crashes in each second (columns).
-
-    drives: test episodes as from `scores.with_outcomes`; NaN where an agent has none left.
-    """
-    second = np.ceil(drives["crash_free_time"]).clip(lower=1).astype(int)
-    seconds = range(1, second.max() + 1)
-    ending = pd.crosstab(drives["cell"], second).reindex(columns=seconds, fill_value=0)
-    crashing = pd.crosstab(drives["cell"], second, drives["crashed"], aggfunc="sum")
-    driving = ending.iloc[:, ::-1].cumsum(axis=1).iloc[:, ::-1]
-    return crashing.reindex(columns=seconds).fillna(0.0) / driving.where(driving > 0)
 
 
 @styled

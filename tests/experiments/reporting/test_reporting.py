@@ -15,6 +15,7 @@ import pytest
 from matplotlib.axes import Axes
 from scipy import stats
 
+from experiments.analysis.drivers import hazards
 from experiments.reporting import by_task, figures, page, tables
 from experiments.reporting.card import ALL, card_figure
 from experiments.study.design.traffic import TRAFFICS
@@ -259,7 +260,7 @@ def test_the_hazard_is_the_share_of_the_drives_still_on_the_road_that_crashes() 
         {"cell": "a", "crash_free_time": [0.0, 0.9, 2.0, 3.0, 3.0], "crashed": [1.0, 0.0, 1.0, 1.0, 0.0]}
     )
     other = pd.DataFrame({"cell": "b", "crash_free_time": [1.5], "crashed": [1.0]})
-    found = figures.hazards(pd.concat([drives, other]))
+    found = hazards(pd.concat([drives, other]))
     # five drives in the first second, three in the second, two in the third
     assert found.loc["a"].tolist() == pytest.approx([1 / 5, 1 / 3, 1 / 2])
     assert found.loc["b"].tolist() == pytest.approx([0.0, 1.0, float("nan")], nan_ok=True)

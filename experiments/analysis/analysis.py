@@ -17,7 +17,7 @@ from experiments.analysis.by_task import COLUMNS, OWN, SURROGATES, by_task
 from experiments.analysis.claims import claims, primary
 from experiments.analysis.comparable import comparable, incomplete, leave_out, main_cells, unfinished
 from experiments.analysis.competence import competence, competent
-from experiments.analysis.drivers import drivers
+from experiments.analysis.drivers import drivers, to_frontier
 from experiments.analysis.effects import WORKING_COLUMNS, adjusted, contrasts, means, slopes
 from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
@@ -46,9 +46,9 @@ class Analysis:
     effects, means: of all comparisons (arm, against) on the simulator of the training. plan, plan_hash: see
     `plan.as_data`. notes: missing, failed, damaged and left_out cells, unfinished and incomplete settings, with their
     reasons; stage, the last one of the plan that is complete; and `scores.undrivable`. primary: see `claims.primary`.
-    learner (see `gates.learner_checks`): empty where the plan does not ask for it. by_task: see `by_task.by_task`.
-    drivers: see `drivers.drivers`. competence: see `competence.competence`. competent: as by_task, of the settings
-    whose control agents are competent.
+    learner (see `gates.learner_checks`): empty where the plan does not ask for it. frontier: see
+    `drivers.to_frontier`. by_task: see `by_task.by_task`. drivers: see `drivers.drivers`. competence: see
+    `competence.competence`. competent: as by_task, of the settings whose control agents are competent.
     """
 
     effects: pd.DataFrame
@@ -64,6 +64,7 @@ class Analysis:
     provenance: dict[str, Any]
     primary: pd.DataFrame
     learner: pd.DataFrame
+    frontier: pd.DataFrame
     by_task: pd.DataFrame
     drivers: pd.DataFrame
     competence: pd.DataFrame
@@ -132,6 +133,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         provenance=provenance(known),
         primary=primary(mean[0], counted),
         learner=learner_checks(known.cells, passed, agents, plan),
+        frontier=to_frontier(episodes),
         by_task=by_task(episodes, counted, {**COLUMNS, **SURROGATES}),
         drivers=drivers(at_home(episodes)),
         competence=verdicts,

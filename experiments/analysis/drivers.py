@@ -1,4 +1,7 @@
-"""How each driver does by itself, before anything is compared: what the figure of crashes against speed shows."""
+"""How each driver does by itself, before anything is compared: what the figure of crashes against speed shows.
+
+And how much more often agents crash than careful and constant drivers of their progress: distance to the frontier.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from agents.rules import CAUTIONS, POLICIES
 from experiments.analysis import estimate
 from experiments.analysis.effects import SHARES
-from experiments.analysis.scores import arms_of
+from experiments.analysis.estimate import mean_of_units, with_intervals
+from experiments.analysis.scores import arms_of, at_home
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.results.loaded import SETTING
 
 SHOWN = ("crashed", "mean_speed")
+RULES = {*POLICIES, *CAUTIONS} - {"idm", "random"}  # the careful driver and the constant policies
+FRONTIER = [*SETTING, "arm", "traffic", "agents", "inside", "estimate", "low", "high"]
 
 
 def drivers(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -59,3 +66,45 @@ def hazards(drives: pd.DataFrame) -> pd.DataFrame:
     crashing = pd.crosstab(drives["cell"], second, drives["crashed"], aggfunc="sum")
     driving = ending.iloc[:, ::-1].cumsum(axis=1).iloc[:, ::-1]
     return crashing.reindex(columns=seconds).fillna(0.0) / driving.where(driving > 0)
+
+
+def lower_hull(points: pd.DataFrame) -> pd.DataFrame:
+    """The corners of the lower convex hull of points (progress, crashed), from the slowest to the fastest."""
+    points = points.sort_values(["progress", "crashed"])[["progress", "crashed"]].drop_duplicates("progress")
+    rows = points.to_numpy(dtype=float).tolist()
+    is_corner = [
+        all((x1 - x0) * (y2 - y0) > (y1 - y0) * (x2 - x0) for x0, y0 in rows[:k] for x2, y2 in rows[k + 1 :])
+        for k, (x1, y1) in enumerate(rows)  # below the line from any point on its left to any on its right
+    ]
+    return points.loc[is_corner].reset_index(drop=True)
+
+
+def to_frontier(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The distance of each arm's agents to the frontier of careful and constant drivers, where there are any.
+
+    The frontier is the lower hull of their crash rate over progress, the distance covered over the time limit. An agent
+    slower or faster than all of them has no distance.
+
+    Args:
+        episodes: as from `scores.with_outcomes`.
+
+    Returns:
+        A row a SETTING, arm and traffic: agents, how many of them have a distance (inside), and their mean crash rate
+        above the frontier with its 95 % interval over agents. Exploratory.
+    """
+    rows = at_home(episodes)
+    rows = rows.assign(arm=rows["arm"].fillna("").astype(str))
+    drivers = rows.groupby([*SETTING, "traffic", "kind", "policy", "arm", "cell"], sort=False)
+    drivers = drivers[["progress", "crashed"]].mean().reset_index()
+    agents = []
+    for _, own in drivers.groupby([*SETTING, "traffic"], sort=False):
+        hull = lower_hull(own[own["policy"].isin(RULES)])
+        if len(hull) > 1:
+            of_hull = np.interp(own["progress"], hull["progress"], hull["crashed"], left=np.nan, right=np.nan)
+            agents.append(own.assign(above=own["crashed"] - of_hull)[own["kind"] == "agent"])
+    if not agents:
+        return pd.DataFrame(columns=FRONTIER)
+    rows = pd.concat(agents)
+    group = [*SETTING, "arm", "traffic"]
+    number = rows.groupby(group, sort=False)["above"].agg(agents="size", inside="count").reset_index()
+    return number.merge(with_intervals(mean_of_units(rows.groupby(group, sort=False)["above"])))[FRONTIER]

@@ -288,6 +288,17 @@ def competence(analysis: Analysis, backend: str) -> pd.DataFrame:
     return wide(with_setting(chosen(analysis.competence, backend=backend)), ["setting"], cells)
 
 
+def frontier(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """Crash rate of each arm's agents above that of drivers of fixed rules at the same progress."""
+
+    def cells(row: Mapping[str, Any]) -> dict[str, str]:
+        above = effect({**row, "status": ""}) if row["inside"] else NONE
+        agents = f"{row['inside']} of {row['agents']}"
+        return {f"{row['traffic']} traffic": above, f"agents, {row['traffic']}": agents}
+
+    return wide(with_setting(chosen(analysis.frontier, backend=backend)), ("setting", "arm"), cells)
+
+
 TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulator, by the templates' names
     "careful": careful,
     "crashes": partial(by_setting, outcome="crashed"),
@@ -296,6 +307,7 @@ TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulat
     "unseen": unseen,
     "gates": gates,
     "learner": learner,
+    "frontier": frontier,
     "competence": competence,
 }
 FILTERS = {f.__name__: f for f in (number, points, difference, listing, count)}

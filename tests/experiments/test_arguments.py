@@ -56,6 +56,7 @@ ARGUMENTS = {
     "first_scenario": NUMBERS,
     "updates": st.none() | NUMBERS,
     "crash_reward": st.none() | st.floats(),
+    "frontier": st.booleans(),
     "unseen": st.booleans(),
     "traffics": st.lists(some(ALL), max_size=2).map(tuple),
     "learner": some([*LEARNERS, "none.py:learner"]),

@@ -12,7 +12,7 @@ import tyro
 
 from agents.plugins import foreign
 from agents.policies import foreign_policy
-from agents.rules import DRIVERS, POLICIES
+from agents.rules import CAUTIONS, DRIVERS, POLICIES
 from experiments.backends import BACKENDS, MakeEnv, make_env
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, NUMBERED
 from experiments.study.design.cell import LEARNER, Cell, tested_on
@@ -86,6 +86,8 @@ class Experiment:
     """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
     traffics: Annotated[Names, argument("NAME ...")] = ()
     """Further traffics to test in: measured (drivers as published), or any other one by its name."""
+    frontier: Flag = False
+    """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     drivers: Annotated[Names, argument("NAME ...")] = ()
     """Drivers to test as well, in the lightest traffic: planner, clairvoyant, and on SUMO sumo (its own driver)."""
     config: Annotated[Names, argument("KEY=VALUE ...")] = ()
@@ -127,13 +129,14 @@ class Experiment:
             levels |= {task: numbers for task, numbers in self.levels_of.items() if task in tasks}
         policies = self._policies()
         check_known("driver", self.drivers, DRIVERS)
+        rules = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
             common = self._common(task, level, dynamics)
             agents = list(self._agents(common))
             cells += agents
             cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
-            cells += [replace(common, policy=name) for name in POLICIES]
+            cells += [replace(common, policy=name) for name in rules]
             if level == 1:
                 others = [
                     name for name in dict.fromkeys(self.drivers) if name != "sumo" or self.backend == "sumo"

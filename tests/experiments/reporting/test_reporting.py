@@ -210,6 +210,25 @@ def test_gates_count_who_passes_and_name_what_the_others_fail() -> None:
     assert line == {"setting": "u-turn 3", "control": f"2 of 4 ({words})"}
 
 
+def test_the_frontier_table_has_a_row_an_arm_and_says_how_many_agents_are_compared() -> None:
+    columns = ["arm", "traffic", "agents", "inside", "estimate", "low", "high"]
+    found = pd.DataFrame(
+        [
+            ["control", "risky", 5, 4, 0.125, 0.05, 0.2],
+            ["control", "regular", 5, 1, -0.03, NAN, NAN],  # one agent has no interval
+            ["treatment", "risky", 5, 0, NAN, NAN, NAN],  # faster than all drivers
+        ],
+        columns=columns,
+    ).assign(**SETTING)
+    elsewhere = found.assign(backend="replica", estimate=0.9)
+    table = tables.frontier(analysis(frontier=pd.concat([found, elsewhere])), "sumo")
+    shown = ["risky traffic", "agents, risky", "regular traffic", "agents, regular"]
+    assert table.columns.tolist() == ["setting", "arm", *shown]
+    control, treatment = table.fillna("").to_numpy().tolist()
+    assert control == ["u-turn 3", "control", "+12.5 [+5.0, +20.0]", "4 of 5", "−3.0", "1 of 5"]
+    assert treatment == ["u-turn 3", "treatment", "–", "0 of 5", "", ""]
+
+
 def drawn(method: str, figure: Callable[..., str], shown: Any) -> list[Any]:
     """The arguments of a method of the axes, call by call, while a figure is drawn."""
     with patch.object(Axes, method) as calls:

@@ -43,7 +43,7 @@ def cells(levels: dict | None = None, **options) -> list[Cell]:
 
 def test_further_arms_tests_and_policies_rename_nothing():
     usual = cells()
-    more = cells(arms=tuple(EVERY_ARM), test_on=("replica", "highway-env"), unseen=True)
+    more = cells(arms=tuple(EVERY_ARM), test_on=("replica", "highway-env"), unseen=True, frontier=True)
     assert {c.name for c in usual} <= {c.name for c in more}
     assert len({c.name for c in more}) == len(more)
     agents = [c for c in more if c.kind == "agent"]
@@ -61,6 +61,8 @@ def test_further_arms_tests_and_policies_rename_nothing():
     for c in (*more, *cells(learner="sb3-dqn", test_on=("replica",))):
         of_both = c.kind == "agent" and c.arm in ARMS
         assert setting_of_agent(c.name) == ("sumo-highway-50" if of_both else ""), c.name
+    policies = [{c.policy for c in found if c.kind == "baseline"} for found in (more, usual)]
+    assert policies[0] - policies[1] == {"careful-0.1", "careful-0.5", "careful-2", "careful-4"}
 
 
 def test_a_policy_of_one_s_own_is_named_by_what_it_is(tmp_path: Path) -> None:

@@ -27,25 +27,26 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from docs.settings import learned, readme_agents, trainings
 from experiments import evaluate
-from experiments.analysis import takeover
-from experiments.analysis.by_task import SURROGATES
-from experiments.analysis.by_task import by_task as effects_by_task
-from experiments.analysis.drivers import drivers
-from experiments.analysis.plan import DEFAULT
-from experiments.reporting import by_task
+from experiments.reporting import by_task, takeover
 from experiments.reporting.card import ALL, card_figure
-from experiments.reporting.figures import BESIDE, alone, crashes_against_speed
+from experiments.reporting.figures import alone, crashes_against_speed
+from experiments.reporting.page import lightest
 from experiments.reporting.rare import doses_figure, rare_figure
 from experiments.reporting.tables import chosen, effect, interval, plain, points
-from experiments.reporting.takeover import danger_figure
-from experiments.study.compute.takeover import PAIR
 from experiments.study.design.arms import ARMS
-from experiments.study.design.sheet import GRID, sheet
+from experiments.study.design.sheet import GRID
 from experiments.validation.figure import validation_figure
 from sumo_env.tasks import TASKS
 
 TEMPLATES = ROOT / "docs" / "templates"
-CELL = r"sumo-(?P<task>\D+)-(?P<level_name>[\d+]+)-(?P<arm>[a-z-]+?)(?:-s(?P<seed>\d+))?-[0-9a-f]{12}"
+STUDY = ROOT / "results" / "study-6"
+# What became of an effect, by its sides before and now: fewer (-1), not decided (0), more crashes (1).
+BECAME = {
+    (0, 0): "",
+    **{(0, side): "new" for side in (-1, 1)},
+    **{(side, 0): "not found" for side in (-1, 1)},
+}
+BECAME |= {**{(side, side): "stands" for side in (-1, 1)}, **{(side, -side): "turns" for side in (-1, 1)}}
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
@@ -96,26 +97,11 @@ def entries() -> str:
 
 
 @functools.cache
-def episodes() -> pd.DataFrame:
-    """The test episodes of the published study on SUMO, with SURROGATES, from files of an earlier version."""
-    parts = sorted((ROOT / "results" / "study" / "parts").glob("*.parquet"))
-    tests = chosen(pd.concat(map(pd.read_parquet, parts)), purpose="test")
-    rows = tests[~tests["cell"].str.contains("-on-replica-|-unseen-")]
-    cells = pd.Series(rows["cell"].unique())
-    cells = cells.str.extract(CELL).assign(cell=cells, backend="sumo", tested_on="sumo")
-    cells["level"] = [GRID[task].index(name) + 1 for task, name in cells[["task", "level_name"]].values]
-    cells["kind"] = cells["arm"].isin(ARMS).map({True: "agent", False: "baseline"})
-    rows = rows.astype({"crashed": float}).merge(cells.assign(policy=cells["arm"]), on="cell")
-    return rows.assign(**{name: one.of for name, one in SURROGATES.items()})
-
-
-@functools.cache
 def study() -> Any:
-    """The analysis of the published study, as the report's tables take it, and danger: its SURROGATES by task."""
-    stored = json.loads((ROOT / "results" / "study" / "analysis.json").read_text())
+    """The analysis of the published study, as the report's tables take it."""
+    stored = json.loads((STUDY / "analysis.json").read_text())
     parts = {name: part for name, part in stored.items() if isinstance(part, dict) and "columns" in part}
     frames = {name: pd.DataFrame(part["rows"], columns=part["columns"]) for name, part in parts.items()}
-    frames["danger"] = effects_by_task(episodes(), DEFAULT, SURROGATES)
     return SimpleNamespace(**stored | frames)
 
 
@@ -126,22 +112,46 @@ def checks() -> pd.DataFrame:
 
 @functools.cache
 def moments() -> pd.DataFrame:
-    """The record of `experiments/takeover.py` in which two pairs of published agents were driven."""
-    return pd.read_parquet(ROOT / "results" / "takeover.parquet")
+    """The record of `experiments/takeover.py` in which the study's pairs were driven."""
+    rows = takeover.recorded(STUDY)
+    assert rows is not None
+    return rows
 
 
-def taken_over() -> list[tuple[dict[str, Any], ...]]:
-    """Of each task and leader of that record, in risky and in regular traffic: danger and, by driver, crashes [%]."""
-    found = []
-    for task, leader in product(GRID, PAIR):
-        both = []
-        for traffic in ("risky", "regular"):
-            rows = chosen(moments(), task=task, traffic=traffic)
-            danger = takeover.overall(rows).set_index("driver").loc[leader, "danger"]
-            crashed = chosen(takeover.rates(rows), leader=leader).set_index("driver")["crashed"]
-            both.append({"task": task, "danger": 100 * danger, "crashed": (100 * crashed).to_dict()})
-        found.append(tuple(both))
-    return found
+@functools.cache
+def skill_or_caution() -> pd.DataFrame:
+    """What that record answers, task by task."""
+    return takeover.skill_or_caution(moments())
+
+
+def signs() -> str:
+    """Whether treated agents have less or more of each outcome, as the report shows it."""
+    return _markdown(by_task.signs(study(), "sumo", skill_or_caution()).to_dict("records"))
+
+
+def beside_plan_5() -> str:
+    """The effects on crashes in each task's lightest traffic by plan 5 and here, and what became of the first.
+
+    An effect is one whose 95 % interval excludes 0.
+    """
+    earlier, lines = pd.read_csv(ROOT / "results" / "plan_v5.csv"), []
+    for task, traffic in product(GRID, ("risky", "regular")):
+        place = {"traffic": traffic, "outcome": "crashed"}
+        (before,) = chosen(earlier, scope=f"{task}-{GRID[task][0]}", tested_on="sumo", **place).to_dict(
+            "records"
+        )
+        before["estimate"] = before["difference"]
+        after = row(
+            "effects", task=task, level=1, arm="treatment", against="control", term=traffic, outcome="crashed"
+        )
+        sides = [int(one["low"] > 0) - int(one["high"] < 0) for one in (before, after)]
+        texts = [
+            f"{points(one['estimate'], 'crashed')} {interval(one, 'crashed')}" for one in (before, after)
+        ]
+        lines.append(
+            {"task": task, "traffic": traffic, "plan 5": texts[0], "now": texts[1], "": BECAME[*sides]}
+        )
+    return _markdown(lines)
 
 
 def rare_curves() -> str:
@@ -167,33 +177,6 @@ def failing(*arms: str) -> dict[str, Any]:
     return by_task.failing(chosen(study().gates, arm=list(arms or ARMS)))
 
 
-def survivors(task: str, level: str) -> tuple[int, int]:
-    """How many drivers the study has in a setting, and how many of them ever survive a regular episode."""
-    own = chosen(episodes(), task=task, level_name=level, traffic="regular")
-    survive = own.groupby("cell")["crashed"].min() < 1
-    return len(survive), int(survive.sum())
-
-
-SHARES: dict[str, Callable[[pd.DataFrame], pd.Series]] = {
-    "enters": lambda rows: rows["distance"] >= sheet("roundabout").crossing,
-    "overtakes at once": lambda rows: rows["actions"].str[:2].str.contains("0"),  # LANE_LEFT, within 2 s
-    "hits an oncoming car": lambda rows: rows["crash_type"] == "frontal",
-}
-
-
-def share(what: str, task: str, level: str, arm: str) -> float:
-    """In how many of the regular test episodes of an arm's agents that happens [%]."""
-    own = chosen(episodes(), task=task, level_name=level, arm=arm, traffic="regular", kind="agent")
-    return float(100 * SHARES[what](own).mean())
-
-
-def other_learners(learner: str) -> tuple[float, float]:
-    """The least and the largest crash rate in risky traffic of a learner's agents, roundabout, 5 cars, replica [%]."""
-    table = pd.read_parquet(ROOT / "results" / "other-learners" / "trainings.parquet")
-    rates = 100 * chosen(table, task="roundabout", traffic="risky", learner=learner)["crashed"]
-    return rates.min(), rates.max()
-
-
 def events_per_hour(task: str) -> float:
     """How many risk events a vehicle of the task has at dose 1 in an hour."""
     rates = TASKS[task].risk_rates
@@ -215,17 +198,15 @@ def _markdown(lines: list[dict[str, str]]) -> str:
 
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(by_task.difference, checks, entries, events_per_hour, failing, other_learners, readme_agents, row),
-    *(share, study, survivors, taken_over, trained, trainings, validation, verdict),
+    *(beside_plan_5, by_task.difference, checks, entries, events_per_hour, failing),
+    *(readme_agents, row, signs, study, trained, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 LEADS = "random actions", "DQN, median and range"
 # Their files are in docs/img; study: of each task's lightest traffic.
 FIGURES: dict[str, Callable[[], str]] = {
-    "study": lambda: crashes_against_speed(
-        drivers(chosen(episodes(), level=1, arm=[*ARMS, *BESIDE])), "study"
-    ),
-    "takeover": lambda: danger_figure(moments()),
+    "study": lambda: crashes_against_speed(lightest(study().drivers), "study"),
+    "takeover": lambda: takeover.danger_figure(moments()),
     "entries": entries_figure,
     "settings": lambda: crashes_against_speed(learned(), "settings", LEADS),
     "validation": lambda: validation_figure(checks()),

@@ -320,7 +320,7 @@ def test_the_checks_of_the_validation_are_counted() -> None:
 
 def episodes_of(setting: str, arm: str, traffic: str) -> list[dict[str, Any]]:
     """The stored test episodes of an arm's agents at home."""
-    [file] = (ROOT / "results" / "study" / "parts").glob(f"sumo-{setting}-{arm}-*.parquet")
+    [file] = (ROOT / "results" / "study-6" / "parts").glob(f"sumo-{setting}-{arm}-*.parquet")
     rows = pq.read_table(file).to_pylist()
     mine = [row for row in rows if (row["purpose"], row["traffic"]) == ("test", traffic)]
     return [row for row in mine if not re.search("-on-replica-|-unseen-", row["cell"])]
@@ -329,39 +329,20 @@ def episodes_of(setting: str, arm: str, traffic: str) -> list[dict[str, Any]]:
 def test_numbers_of_the_study_are_those_of_its_stored_episodes() -> None:
     treated = episodes_of("u-turn-3", "treatment", "regular")
     assert len(treated) == 5 * 400
-    entered = sum(row["distance"] >= 24.5 for row in episodes_of("roundabout-15", "treatment", "regular"))
-    assert pages.share("enters", "roundabout", "15", "treatment") == pytest.approx(entered / 20)
+    place = {"scope": "u-turn", "traffic": "regular", "tested_on": "sumo"}
+    close = sum(row["min_ttc"] < 1 for row in treated) / 2000
+    assert pages.row("by_task", outcome="close", **place)["mean_arm"] == pytest.approx(close)
+    sums: dict[str, Counter[str]] = {name: Counter() for name in ("near_misses", "distance")}
+    for row in treated:
+        for name, of_agents in sums.items():
+            of_agents[row["cell"]] += row[name]
+    ratios = [1e3 * sums["near_misses"][cell] / sums["distance"][cell] for cell in sums["distance"]]
+    found = pages.row("by_task", outcome="near_misses_per_km", **place)
+    assert found["mean_arm"] == pytest.approx(sum(ratios) / 5)
 
-    both = [treated, episodes_of("u-turn-12", "treatment", "regular")]
-    close = sum(row["min_ttc"] < 1 for rows in both for row in rows) / 4000
-    assert pages.row("danger", scope="u-turn", traffic="regular", outcome="close")["mean_arm"] == close
-    ratios = []
-    for rows in both:
-        sums: dict[str, Counter[str]] = {name: Counter() for name in ("near_misses", "distance")}
-        for row in rows:
-            for name, of_agents in sums.items():
-                of_agents[row["cell"]] += row[name]
-        ratios += [1e3 * sums["near_misses"][cell] / sums["distance"][cell] for cell in sums["distance"]]
-    found = pages.row("danger", scope="u-turn", traffic="regular", outcome="near_misses_per_km")
-    assert found["mean_arm"] == pytest.approx(sum(ratios) / 10)
-
-    assert pages.survivors("two-way", "15+6")[1] == 0 < pages.survivors("two-way", "5+2")[1]
     arms = [pages.failing(arm) for arm in ("control", "treatment")]
-    assert sum(arm["passed"] for arm in arms) == pages.failing()["passed"] and arms[0]["of"] == 50
+    assert sum(arm["passed"] for arm in arms) == pages.failing()["passed"] and arms[0]["of"] == 30
     assert pages.events_per_hour("u-turn") == pytest.approx(3600 / 5 + 3600 / 10)  # docs/traffic-and-risk.md
-    assert pages.other_learners("treatment") == pytest.approx((8.25, 17.0))
-
-
-def test_who_gets_out_of_whose_moments_is_counted_from_the_stored_record() -> None:
-    stored = pq.read_table(ROOT / "results" / "takeover.parquet").to_pylist()
-    led = [row for row in stored if (row["task"], row["traffic"], row["leader"]) == ("u-turn", "risky", "b")]
-    moments = [row for row in led if row["moment"] is not None]
-    danger = len(moments) + sum(row["sudden"] for row in led)
-    [found] = [risky for risky, _ in pages.taken_over()[1::2] if risky["task"] == "u-turn"]
-    assert found["danger"] == 100 * danger / len(led)
-    for name in ("a", "b", "sumo"):
-        crashed = sum(row[f"crash_{name}"] <= 5 for row in moments)
-        assert found["crashed"][name] == pytest.approx(100 * crashed / len(moments))
 
 
 @pytest.mark.parametrize("name", pages.FIGURES)

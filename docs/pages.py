@@ -47,6 +47,7 @@ BECAME = {
     **{(side, 0): "not found" for side in (-1, 1)},
 }
 BECAME |= {**{(side, side): "stands" for side in (-1, 1)}, **{(side, -side): "turns" for side in (-1, 1)}}
+MEAN_OF = {"control": "mean_against", "treatment": "mean_arm"}  # columns of the study's effects
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
@@ -66,14 +67,16 @@ def validation(*tasks: str) -> dict[str, Any]:
 
 
 def trained() -> str:
-    """Crash rates of published agents on both simulators, lightest levels: "SUMO→highway-env", a line a task [%]."""
-    rows = pd.DataFrame([{"task": task, **row} for task, own in verdict().items() for row in own["agents"]])
+    """Crash rates of the study's agents on both simulators, lightest levels: "SUMO→replica", a line a task [%]."""
     lines = []
     for task in GRID:
         line = {"task": f"{task} {GRID[task][0]}"}
-        for row in chosen(rows, task=task, level=GRID[task][0]).to_dict("records"):
-            rates = (points(row[side], "crashed", signed=False) for side in ("sumo", "reference"))
-            line[f"{row['ego']}, {row['traffic']}"] = "→".join(rates)
+        for (arm, mean), traffic in product(MEAN_OF.items(), ("regular", "risky")):
+            found = (
+                row("by_task", scope=task, traffic=traffic, tested_on=simulator, outcome="crashed")[mean]
+                for simulator in ("sumo", "replica")
+            )
+            line[f"{arm}, {traffic}"] = "→".join(points(rate, "crashed", signed=False) for rate in found)
         lines.append(line)
     return _markdown(lines)
 

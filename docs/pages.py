@@ -47,7 +47,6 @@ BECAME = {
     **{(side, 0): "not found" for side in (-1, 1)},
 }
 BECAME |= {**{(side, side): "stands" for side in (-1, 1)}, **{(side, -side): "turns" for side in (-1, 1)}}
-MEAN_OF = {"control": "mean_against", "treatment": "mean_arm"}  # columns of the study's effects
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
@@ -64,21 +63,6 @@ def validation(*tasks: str) -> dict[str, Any]:
     sums |= {"orders": sum(own["orders"] for own in stored)}
     sums |= {"outside": sum(len(own["outside"]) for own in stored)}
     return {"all": sum(sum(own["counts"].values()) for own in stored), **sums}
-
-
-def trained() -> str:
-    """Crash rates of the study's agents on both simulators, lightest levels: "SUMO→replica", a line a task [%]."""
-    lines = []
-    for task in GRID:
-        line = {"task": f"{task} {GRID[task][0]}"}
-        for (arm, mean), traffic in product(MEAN_OF.items(), ("regular", "risky")):
-            found = (
-                row("by_task", scope=task, traffic=traffic, tested_on=simulator, outcome="crashed")[mean]
-                for simulator in ("sumo", "replica")
-            )
-            line[f"{arm}, {traffic}"] = "→".join(points(rate, "crashed", signed=False) for rate in found)
-        lines.append(line)
-    return _markdown(lines)
 
 
 def entries() -> str:
@@ -202,7 +186,7 @@ def _markdown(lines: list[dict[str, str]]) -> str:
 
 FUNCTIONS: list[Callable[..., Any]] = [
     *(beside_plan_5, by_task.difference, checks, entries, events_per_hour, failing),
-    *(readme_agents, row, signs, study, trained, trainings, validation, verdict),
+    *(readme_agents, row, signs, study, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 LEADS = "random actions", "DQN, median and range"

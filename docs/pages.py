@@ -40,13 +40,9 @@ from sumo_env.tasks import TASKS
 
 TEMPLATES = ROOT / "docs" / "templates"
 STUDY = ROOT / "results" / "study-6"
-# What became of an effect, by its sides before and now: fewer (-1), not decided (0), more crashes (1).
-BECAME = {
-    (0, 0): "",
-    **{(0, side): "new" for side in (-1, 1)},
-    **{(side, 0): "not found" for side in (-1, 1)},
-}
-BECAME |= {**{(side, side): "stands" for side in (-1, 1)}, **{(side, -side): "turns" for side in (-1, 1)}}
+# What became of an effect, by its sides before and now: fewer (-1) or more (1) crashes, 0: not decided.
+BECAME = {(-1, -1): "stands", (1, 1): "stands", (-1, 1): "turns", (1, -1): "turns", (0, 0): ""}
+BECAME |= {(-1, 0): "not found", (1, 0): "not found", (0, -1): "new", (0, 1): "new"}
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
@@ -116,28 +112,46 @@ def signs() -> str:
     return _markdown(by_task.signs(study(), "sumo", skill_or_caution()).to_dict("records"))
 
 
+@functools.cache
+def taken_over(frame: str) -> pd.DataFrame:
+    """A frame of what `experiments/takeover.py` wrote, of all tasks: answers, rates, ..."""
+    files = sorted((STUDY / "takeover").glob("*/takeover.json"))
+    return pd.concat(
+        pd.DataFrame(json.loads(file.read_text())[frame]).assign(task=file.parent.name) for file in files
+    )
+
+
+def answer(task: str, traffic: str, question: str, within: int = 3) -> dict[str, Any]:
+    """The answer to a question, such as "caution", by a bound of critical moments [s]."""
+    asked = {"task": task, "traffic": traffic, "question": question, "within": within}
+    return dict(*chosen(taken_over("answers"), **asked).to_dict("records"))
+
+
+def from_moments(task: str, traffic: str) -> dict[str, float]:
+    """The share that crashes within 5 s from the moments of both leaders alike [%], by who takes over."""
+    own = chosen(taken_over("rates"), task=task, traffic=traffic, within=3)
+    return dict(100 * own.groupby("driver")["crashed"].mean())
+
+
 def beside_plan_5() -> str:
     """The effects on crashes in each task's lightest traffic by plan 5 and here, and what became of the first.
 
     An effect is one whose 95 % interval excludes 0.
     """
     earlier, lines = pd.read_csv(ROOT / "results" / "plan_v5.csv"), []
+    earlier = chosen(earlier, tested_on="sumo", outcome="crashed").assign(status="ok")
+    earlier, arms = (
+        earlier.rename(columns={"difference": "estimate"}),
+        dict(zip(("against", "arm"), ARMS, strict=True)),
+    )
     for task, traffic in product(GRID, ("risky", "regular")):
-        place = {"traffic": traffic, "outcome": "crashed"}
-        (before,) = chosen(earlier, scope=f"{task}-{GRID[task][0]}", tested_on="sumo", **place).to_dict(
-            "records"
+        both = (
+            dict(*chosen(earlier, scope=f"{task}-{GRID[task][0]}", traffic=traffic).to_dict("records")),
+            row("effects", **arms, task=task, level=1, term=traffic, outcome="crashed"),
         )
-        before["estimate"] = before["difference"]
-        after = row(
-            "effects", task=task, level=1, arm="treatment", against="control", term=traffic, outcome="crashed"
-        )
-        sides = [int(one["low"] > 0) - int(one["high"] < 0) for one in (before, after)]
-        texts = [
-            f"{points(one['estimate'], 'crashed')} {interval(one, 'crashed')}" for one in (before, after)
-        ]
-        lines.append(
-            {"task": task, "traffic": traffic, "plan 5": texts[0], "now": texts[1], "": BECAME[*sides]}
-        )
+        sides = (int(one["low"] > 0) - int(one["high"] < 0) for one in both)
+        found = dict(zip(("plan 5", "now"), (effect(one, "crashed") for one in both), strict=True))
+        lines.append({"task": task, "traffic": traffic, **found, "": BECAME[*sides]})
     return _markdown(lines)
 
 
@@ -185,7 +199,7 @@ def _markdown(lines: list[dict[str, str]]) -> str:
 
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(beside_plan_5, by_task.difference, checks, entries, events_per_hour, failing),
+    *(answer, beside_plan_5, by_task.difference, checks, entries, events_per_hour, failing, from_moments),
     *(readme_agents, row, signs, study, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterable
 from itertools import dropwhile, takewhile
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import Any
 from unittest.mock import patch
 
@@ -18,6 +18,7 @@ import gymnasium as gym
 import pyarrow.parquet as pq
 import pytest
 from matplotlib.axes import Axes
+from pytest import approx
 
 import sumo_env
 from docs import pages, settings
@@ -204,7 +205,7 @@ def test_a_task_s_page_names_its_keys_its_levels_and_its_reward(task: str) -> No
     assert {*COMMON, *TASKS[task].defaults, *info, *info["rewards"]} - named == set()
     levels = [literal_eval(shown) for shown in re.findall(r"`(\{.*?\})`", own)]
     for config in TASKS[task].levels.values():  # so that they can be copied
-        assert any(shown == pytest.approx(config, rel=1e-5) for shown in levels), config
+        assert any(shown == approx(config, rel=1e-5) for shown in levels), config
 
 
 @pytest.mark.parametrize(
@@ -331,18 +332,47 @@ def test_numbers_of_the_study_are_those_of_its_stored_episodes() -> None:
     assert len(treated) == 5 * 400
     place = {"scope": "u-turn", "traffic": "regular", "tested_on": "sumo"}
     close = sum(row["min_ttc"] < 1 for row in treated) / 2000
-    assert pages.row("by_task", outcome="close", **place)["mean_arm"] == pytest.approx(close)
+    assert pages.row("by_task", outcome="close", **place)["mean_arm"] == approx(close)
     sums: dict[str, Counter[str]] = {name: Counter() for name in ("near_misses", "distance")}
     for row in treated:
         for name, of_agents in sums.items():
             of_agents[row["cell"]] += row[name]
     ratios = [1e3 * sums["near_misses"][cell] / sums["distance"][cell] for cell in sums["distance"]]
     found = pages.row("by_task", outcome="near_misses_per_km", **place)
-    assert found["mean_arm"] == pytest.approx(sum(ratios) / 5)
+    assert found["mean_arm"] == approx(sum(ratios) / 5)
 
     arms = [pages.failing(arm) for arm in ("control", "treatment")]
     assert sum(arm["passed"] for arm in arms) == pages.failing()["passed"] and arms[0]["of"] == 30
-    assert pages.events_per_hour("u-turn") == pytest.approx(3600 / 5 + 3600 / 10)  # docs/traffic-and-risk.md
+    assert pages.events_per_hour("u-turn") == approx(3600 / 5 + 3600 / 10)  # docs/traffic-and-risk.md
+
+
+@pytest.mark.parametrize(("task", "traffic"), [("u-turn", "risky"), ("intersection", "regular")])
+def test_skill_and_caution_are_counted_from_the_stored_moments(task: str, traffic: str) -> None:
+    [file] = (ROOT / "results" / "study-6" / "takeover" / task).glob("*.parquet")
+    stored = [row for row in pq.read_table(file).to_pylist() if row["traffic"] == traffic]
+    for within in (2, 3):
+        danger, escapes = list[float](), list[dict[str, float]]()
+        for leader in ("a", "b"):
+            led = [row for row in stored if (row["leader"], row["within"]) == (leader, within)]
+            moments = [row for row in led if row["moment"] is not None]
+            danger.append((len(moments) + sum(row["sudden"] for row in led)) / len(led))
+            names = ("a", "b", "sumo")
+            escapes.append({name: fmean(row[f"crash_{name}"] <= 5 for row in moments) for name in names})
+        assert pages.answer(task, traffic, "caution", within)["estimate"] == approx(danger[1] - danger[0])
+        mean = {name: fmean(share[name] for share in escapes) for name in names}
+        assert pages.answer(task, traffic, "skill", within)["estimate"] == approx(mean["b"] - mean["a"])
+    assert {name: pages.from_moments(task, traffic)[name] / 100 for name in names} == approx(mean)
+
+
+def test_what_became_of_an_effect_follows_from_both_intervals() -> None:
+    lines = pages.beside_plan_5().splitlines()[2:]
+    assert len(lines) == 2 * len(GRID)
+    for line in lines:
+        ends = [float(end.replace("−", "-")) for end in re.findall(r"[-+−]?\d+\.\d(?=[,\]])", line)]
+        before, now = ((low > 0) - (high < 0) for low, high in (ends[:2], ends[2:]))
+        words = {"stands": before == now != 0, "turns": before == -now != 0, "new": not before and now}
+        words |= {"not found": before and not now, "": not before and not now}
+        assert words[line.split("|")[-2].strip()], line
 
 
 @pytest.mark.parametrize("name", pages.FIGURES)
@@ -352,6 +382,4 @@ def test_a_figure_is_what_the_stored_episodes_make(name: str) -> None:
     then = pages.figure_file(name).read_text(encoding="utf-8")
     now = alone(pages.FIGURES[name]())
     assert number.sub("#", then) == number.sub("#", now)
-    assert list(map(float, number.findall(then))) == pytest.approx(
-        list(map(float, number.findall(now))), abs=0.01
-    )
+    assert list(map(float, number.findall(then))) == approx(list(map(float, number.findall(now))), abs=0.01)

@@ -149,9 +149,9 @@ def beside_plan_5() -> str:
             dict(*chosen(earlier, scope=f"{task}-{GRID[task][0]}", traffic=traffic).to_dict("records")),
             row("effects", **arms, task=task, level=1, term=traffic, outcome="crashed"),
         )
-        sides = (int(one["low"] > 0) - int(one["high"] < 0) for one in both)
+        before, now = (int(one["low"] > 0) - int(one["high"] < 0) for one in both)
         found = dict(zip(("plan 5", "now"), (effect(one, "crashed") for one in both), strict=True))
-        lines.append({"task": task, "traffic": traffic, **found, "": BECAME[*sides]})
+        lines.append({"task": task, "traffic": traffic, **found, "": BECAME[before, now]})
     return _markdown(lines)
 
 

@@ -88,8 +88,10 @@ def row(env: gym.Env[Any, Any], task: str, risk: int, driver: str) -> dict[str, 
         import agents
 
         name = task.removesuffix("-fast")
-        policy = agents.load(f"{name}-{next(iter(LEVELS[name].levels))}", ARMS[risk])
-        return drive(env, policy.act, policy.reset)
+        published = f"{name}-{next(iter(LEVELS[task_of(name)].levels))}", ARMS[risk]
+        policy, config = agents.load(*published), agents.card(*published)["config"]
+        with closing(made(task, risk=risk, observation=config["observation"])) as seen:
+            return drive(seen, policy.act, policy.reset)
     if not driver.isdigit():
         env.action_space.seed(0)
         return drive(env, lambda _: actions[driver] if driver in actions else env.action_space.sample())
@@ -116,10 +118,9 @@ def made(task: str, **config: Any) -> gym.Env[Any, Any]:
 
 
 def drivers(env: gym.Env[Any, Any], task: str, risk: int) -> tuple[str, ...]:
-    """Of the rows of a line; no agent of a variant is published yet."""
-    study = () if task in VARIANTS else ("study",)
+    """Of the rows of a line."""
     actions: dict[int, str] = env.unwrapped.actions  # type: ignore[attr-defined]
-    return (*seeds(task, risk), "random", *study, *actions.values())
+    return (*seeds(task, risk), "random", "study", *actions.values())
 
 
 def of_line(task: str, risk: int) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -154,7 +155,7 @@ def readme_agents() -> dict[str, Any]:
     crashes [%] and speed [m/s] of SLOWER.
     """
     agents, others = of_line(*README)
-    constant = others.drop("random")["return"].idxmax()
+    constant = others.drop(["random", "study"])["return"].idxmax()
     return {
         "count": len(agents),
         "worst": agents["return"].min(),
@@ -174,7 +175,7 @@ def trainings() -> str:
     lines = []
     for task, risk in product(TASKS, RISKS):
         agents, others = of_line(task, risk)
-        best = others["return"].drop("study", errors="ignore").idxmax()
+        best = others["return"].drop("study").idxmax()
         ahead = others.loc[best, "return"] + 0.05 * TASKS[task]
         cells = [task, f"{risk}"]
         for key, digits in DIGITS.items():
@@ -183,10 +184,8 @@ def trainings() -> str:
         if agents["return"].median() >= ahead:
             cells[2] = f"**{cells[2]}**"
         for name in ("study", best):
-            known = others.loc[name] if name in others.index else None  # no agent of a variant is published
-            shown = "–" if known is None else "/".join(f"{known[key]:.{n}f}" for key, n in DIGITS.items())
-            is_ahead = known is not None and known["return"] >= ahead
-            cells.append(f"**{shown}**" if is_ahead else shown)
+            shown = "/".join(f"{others.loc[name, key]:.{n}f}" for key, n in DIGITS.items())
+            cells.append(f"**{shown}**" if others.loc[name, "return"] >= ahead else shown)
         lines.append(f"| {' | '.join(cells[:-1])} | {best} {cells[-1]} |")
     return "\n".join(lines)
 

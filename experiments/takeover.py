@@ -68,7 +68,7 @@ class Options:
     """Say which of two drivers gets into danger less often, and which one gets out of it."""
 
     a: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="A")]
-    """A published agent (control, u-turn-3/control-s301), a zip file of Stable-Baselines3, FILE:MAKE, a directory of
+    """A published agent (control, u-turn-3/control-s801), a zip file of Stable-Baselines3, FILE:MAKE, a directory of
     results or a driver of fixed rules (careful-4, idm, slower); several with commas between, or DIR/PART."""
     b: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="B")]
     """The same; of as many policies as A."""

@@ -1,6 +1,6 @@
 """Write results/agents.npz: agents of a study on SUMO, with their weights in half precision.
 
-    python -m experiments.study.replaying.publish results/study
+    python -m experiments.study.replaying.publish results/study-6
 
 Of each arm and setting the agent with the lowest training seed, as ARM; in the lightest setting of a task all agents,
 the others as ARM-sSEED. Agents of other settings that are in the file stay. Agents that observe the dose are left out.

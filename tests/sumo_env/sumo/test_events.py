@@ -125,9 +125,7 @@ def following() -> Scenario:
 
 
 @pytest.mark.parametrize(("way", "acts"), [(60.0, True), (10.0, False)])
-def test_a_kind_of_a_user_s_own_commands_pauses_and_gives_back(
-    simulator: SumoSimulator, way: float, acts: bool
-) -> None:
+def test_a_kind_of_a_user_s_own_commands_pauses_and_gives_back(simulator, way: float, acts: bool) -> None:
     scenario, gaps = following(), []
     Tailgating.given_back.clear()
     for events in ((), (RiskEvent(0.5, "v1", Tailgating(), duration=6.0, way=way),)):
@@ -235,9 +233,7 @@ def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
     np.testing.assert_array_equal(scenes[0].y, scenes[1].y)
 
 
-def test_surging_vehicles_look_at_those_near_them_who_are_read_once_in_a_sub_step(
-    simulator: SumoSimulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_surging_vehicles_look_at_those_near_them_who_are_read_once(simulator, monkeypatch) -> None:
     """With four times the vehicles as many looks at each and as many reads, else the time of a step is quadratic.
 
     And the way is free where it is for all.
@@ -285,9 +281,7 @@ class Swerve(EventKind):
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_who_swerves_comes_back_where_sumo_s_own_lane_changes_would_refuse(
-    simulator: SumoSimulator, side: int
-) -> None:
+def test_who_swerves_comes_back_where_sumo_s_own_lane_changes_would_refuse(simulator, side: int) -> None:
     """Six of six, with a follower 8 m behind in the lane that they leave; the lanes are SUMO's again at the end."""
     scenario = draw("highway", initial_lane_id=0, duration=12)
     x = scenario.ego.x + 200.0

@@ -15,9 +15,7 @@ from sumo_env.sumo.session import Session
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_whoever_is_near_is_seen_and_who_is_far_is_rarely_looked_at_also_while_others_come_and_go(
-    seed: int,
-) -> None:
+def test_whoever_is_near_is_seen_and_who_is_far_is_rarely_looked_at(seed: int) -> None:
     """Any vehicles as fast as may be, some towards the ego; one leaves and one comes in every sub-step, often by a name
     that has left."""
     rng, dt, looks = np.random.default_rng(seed), 0.1, 0

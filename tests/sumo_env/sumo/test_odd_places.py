@@ -41,9 +41,7 @@ def expected() -> list[str]:
     return python("-c", DRIVE).splitlines()
 
 
-def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
-    tmp_path: Path, expected: list[str]
-) -> None:
+def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(tmp_path, expected) -> None:
     """The networks of the five tasks are in the package."""
     folder = tmp_path / NAME
     package = folder / "sumo_env"

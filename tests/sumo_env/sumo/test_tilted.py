@@ -6,7 +6,6 @@ import copy
 import math
 from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -149,9 +148,7 @@ def test_copies_replays_and_workers_go_on_alike_and_imagined_events_are_no_more_
 
 
 @needs_sumo
-def test_on_own_scenarios_the_weight_is_that_of_events_that_are_drawn_as_vehicles_come(
-    tmp_path: Path,
-) -> None:
+def test_on_own_scenarios_the_weight_is_that_of_events_that_are_drawn_as_vehicles_come(tmp_path) -> None:
     flow = (
         '<flow id="f" begin="0" end="900" probability="0.5" departLane="random"><route edges="ab bc"/></flow>'
     )

@@ -110,7 +110,6 @@ def test_alone_in_a_bend_the_ego_drives_as_in_highway_env(
                 f"after {way:.0f} m the ego is {apart:.2f} m from where it is in highway-env"
             )
     assert way > 36.0
-    ours.close()
 
 
 # -- contacts and crashed vehicles -------------------------------------------------------------------------

@@ -10,8 +10,7 @@ import shapely
 
 from sumo_env.contacts.rectangles import (
     FINEST,
-    LENGTH,
-    WIDTH,
+    Half,
     distance,
     first_touch,
     separation,
@@ -19,7 +18,7 @@ from sumo_env.contacts.rectangles import (
     touch_moment,
 )
 
-from .shapes import polygons, rows, state
+from .shapes import CAR, polygons, rows, state
 
 
 @pytest.fixture(scope="module")
@@ -78,50 +77,36 @@ def ways() -> tuple[np.ndarray, np.ndarray]:
     return before, before + move
 
 
-def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways) -> None:
-    before, after = ways
+@pytest.mark.parametrize(("own", "other"), [(CAR, CAR), ((8.0, 1.25), (0.8, 0.3))])
+def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways, own: Half, other: Half) -> None:
+    """Of two cars, and of a truck and a bicycle."""
+    before, after = (poses[:, :, None] for poses in ways)
     looks = 200
     states = [rows(poses[i].T) for i in (0, 1) for poses in ways]
-    ours = np.array([touch_moment(*four) for four in zip(*states, strict=True)])
-    share = np.arange(looks + 1)[:, None, None, None] / looks
-    way = np.moveaxis(before + share * (after - before), 0, 2)  # (2, 3, looks + 1, pairs)
-    gaps = np.hypot(*(way[1, :2] - way[0, :2])) - math.hypot(LENGTH, WIDTH)  # at least
-    near = gaps < 0.1
-    gaps[near] = shapely.distance(*(polygons(*poses[:, near]) for poses in way))
-    met = gaps.min(axis=0) == 0.0
-    grazed = met & (gaps[0] > 0.0) & (gaps[-1] > 0.0)
-    assert 0.3 < met.mean() < 0.9 and grazed.sum() > 20  # contacts between two looks are among them
-    assert met.sum() > 1000
-    assert np.isfinite(ours[met]).mean() >= 0.999
-    longer = (gaps == 0.0).sum(axis=0) / looks >= FINEST
-    assert np.isfinite(ours[met & longer]).all()
-    assert (gaps.min(axis=0)[np.isfinite(ours)] < 0.03).all()  # none where shapely sees a gap all the way
-    both = met & np.isfinite(ours)
-    assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= FINEST + 1e-4
-
-
-def test_touches_of_a_truck_and_a_bicycle_equal_shapely(ways) -> None:
-    sizes = (8.0, 1.25), (0.8, 0.3)
-    starts, ends = ways
-    states = [rows(poses[i].T) for i in (0, 1) for poses in ways]
-    ours = np.array(
-        [touch_moment(a, b, c, d, other=sizes[1], own=sizes[0]) for a, b, c, d in zip(*states, strict=True)]
-    )
-    again = [
-        touch_moment(c, d, a, b, other=sizes[0], own=sizes[1]) for a, b, c, d in zip(*states, strict=True)
-    ]
+    every = list(zip(*states, strict=True))
+    ours = np.array([touch_moment(a, b, c, d, other=other, own=own) for a, b, c, d in every])
+    again = [touch_moment(c, d, a, b, other=own, own=other) for a, b, c, d in every]
     np.testing.assert_allclose(again, ours, atol=1e-9)
-    met = np.isfinite(ours)
-    assert 0.3 < met.mean() < 0.95
 
-    def gaps(moment: np.ndarray) -> np.ndarray:
-        poses = starts + moment * (ends - starts)
-        x, y, heading = poses.swapaxes(0, 1)
-        outlines = [polygons(x[i], y[i], heading[i], sizes[i]) for i in (0, 1)]
-        return shapely.distance(*outlines)
+    def gaps_at(share: np.ndarray) -> np.ndarray:
+        """Between the two of each pair on a share of the way, shape (looks, pairs)."""
+        one, two = before + share * (after - before)
+        found = np.hypot(*(two[:2] - one[:2])) - math.hypot(*own) - math.hypot(*other)  # at least
+        near = found < 0.1
+        found[near] = shapely.distance(polygons(*one[:, near], half=own), polygons(*two[:, near], half=other))
+        return found
 
-    assert gaps(np.where(met, ours, 0.0))[met].max() < 1e-6
-    assert min(gaps(np.full(len(ours), moment))[~met].min() for moment in np.linspace(0, 1, 21)) > 0.0
+    gaps = gaps_at(np.linspace(0.0, 1.0, looks + 1)[:, None])
+    met, told = gaps.min(axis=0) == 0.0, np.isfinite(ours)
+    grazed = met & (gaps[0] > 0.0) & (gaps[-1] > 0.0)
+    assert 0.3 < met.mean() < 0.95 and grazed.sum() > 20  # contacts between two looks are among them
+    assert met.sum() > 1000
+    assert told[met].mean() >= 0.999
+    longer = (gaps == 0.0).sum(axis=0) / looks >= FINEST
+    assert told[met & longer].all()
+    assert gaps_at(np.where(told, ours, 0.0)[None])[0, told].max() < 1e-6
+    both = met & told
+    assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= FINEST + 1e-4
 
 
 def test_turning_the_short_way_through_the_half_turn() -> None:

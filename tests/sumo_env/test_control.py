@@ -218,7 +218,6 @@ def test_sumo_brings_the_ego_back_from_the_lane_of_oncoming_traffic() -> None:
         env.hand_over()
         *_, (*_, info) = drive(env, IDLE)
         assert info["ending"] == "time" and env.scene.y[0] == pytest.approx(4.0, abs=0.1)
-    env.close()
 
 
 def test_a_wrapper_hands_over_by_a_rule_and_reset_takes_back(net: Path) -> None:

@@ -186,7 +186,6 @@ def test_what_is_no_action_is_refused(id: str, kind: dict[str, Any], actions: li
         with pytest.raises(ValueError, match="action must be"):
             env.step(action)
     env.step(env.action_space.sample())  # unharmed
-    env.close()
 
 
 @pytest.mark.parametrize(("id", "kind", "actions"), BATCHES, ids=str)
@@ -197,7 +196,6 @@ def test_what_is_no_action_of_a_batch_is_refused(id: str, kind: dict[str, Any], 
         with pytest.raises(ValueError, match=r"2 of (Discrete|Box)|finite numbers"):
             envs.step(action)
     envs.step(envs.action_space.sample())
-    envs.close()
 
 
 class Twice(Highway):

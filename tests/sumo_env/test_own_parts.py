@@ -83,7 +83,6 @@ def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made
     (*_, info) = list(drive(env, 2))[-1]
     assert info["crash"]["other"] == "obstacle:0" and env.scene.x[1] == 60.0
     assert info["crash"]["x"] == pytest.approx(56.5, abs=2.0)
-    env.close()
 
 
 class Endless(Merge):

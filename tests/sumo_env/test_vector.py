@@ -141,5 +141,3 @@ def test_an_episode_that_cannot_go_on_ends_alone() -> None:
         seen, rewards, terminated, truncated, infos = envs.step([slow, fast])
         assert_same_bits(seen[0], other.step(slow)[0])
         assert not (terminated | truncated).any() and rewards[1] >= 0.0
-    envs.close()
-    other.close()

@@ -147,9 +147,7 @@ NEVER = {
 
 
 @pytest.mark.parametrize("case", NEVER)
-def test_roads_that_cross_without_a_junction_never_meet(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_roads_that_cross_without_a_junction_never_meet(case: str, tmp_path, monkeypatch) -> None:
     found = straight_on(tmp_path, *NEVER[case])
     assert found.infos[-1]["arrived"] and not found.crash
     assert found.least_ttc == math.inf
@@ -164,9 +162,7 @@ def test_roads_that_cross_without_a_junction_never_meet(
     [(LOOP, ["ab"], "ab_0"), (TWO_EDGES, ["am", "mb"], "mb_0")],
     ids=["one edge", "two edges"],
 )
-def test_a_road_that_crosses_itself_is_met_by_the_way_round_only(
-    plan, way, lane, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_road_that_crosses_itself_is_met_by_the_way_round(plan, way, lane, tmp_path, monkeypatch) -> None:
     other = Other(way[-1:], lane, 138.4, -3.5)
     found = straight_on(tmp_path, plan, way, other)
     assert (found.crash["other"], found.crash["type"]) == ("another", "rear-end")
@@ -279,9 +275,7 @@ def test_the_ego_is_as_large_as_its_vehicle_type(tmp_path: Path) -> None:
     assert crash["relative_x"] == pytest.approx(8.0 + 2.5, abs=0.01)
 
 
-def test_of_a_vehicle_of_several_parts_the_parts_behind_follow_the_road(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_a_vehicle_of_several_parts_the_parts_behind_follow_the_road(tmp_path, monkeypatch) -> None:
     """A long bus turns right while the ego drives past on its left; its outline in one piece would swing out."""
     plan = ("a 0 0,b 200 0,c 400 0,d 200 -200", "ab a b 2 14,bc b c 1 14,bd b d 1 14", "ab 0 bd 0,ab 1 bc 0")
     net = build(tmp_path, plan)

@@ -51,9 +51,7 @@ def test_lanes_that_are_drawn_over_each_other(tmp_path: Path, by_sumo: bool) -> 
 
 
 @pytest.mark.parametrize(("ahead", "crashes"), [(-4.6, False), (-1.0, True)])
-def test_a_lane_change_that_sumo_makes_at_once_sweeps_nothing(
-    tmp_path: Path, ahead: float, crashes: bool
-) -> None:
+def test_a_lane_change_that_sumo_makes_at_once_sweeps_nothing(tmp_path, ahead: float, crashes: bool) -> None:
     """From beside a car to a place before it that is free; where the place is taken, it is a crash."""
     net = drawn_elsewhere(build(tmp_path, TWO), "0.00,-4.80 300.00,-4.80", "8.00,-4.80 308.00,-4.80")
     config = {**QUIET, "policy_frequency": 10, "initial_speed": 5}
@@ -89,9 +87,7 @@ def test_in_the_sublane_model_a_vehicle_is_as_its_lane_is(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("by_sumo", [False, True])
-def test_ways_that_sumo_lets_pass_through_each_other_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by_sumo: bool
-) -> None:
+def test_ways_that_sumo_lets_pass_through_each_other_are_named(tmp_path, monkeypatch, by_sumo: bool) -> None:
     """On a junction without rules SUMO knows no conflict; on a regulated one a touch is a crash, also unreported."""
     step = Session.step
     monkeypatch.setattr(Session, "step", lambda session: step(session)[:0])  # SUMO reports no collision
@@ -152,9 +148,7 @@ CORNER = ("a 0 0, b 150 0, c 150 -150", "ab a b 2 14, bc b c 2 14", "ab 0 bc 0, 
 
 
 @pytest.mark.parametrize("kind", ["coach", "truck"])
-def test_a_long_vehicle_beside_the_ego_in_a_turn_is_no_crash_unless_sumo_reports_it(
-    tmp_path: Path, kind: str
-) -> None:
+def test_a_long_vehicle_beside_the_ego_in_a_turn_is_no_crash_unless_sumo_says_so(tmp_path, kind: str) -> None:
     """It turns on the outer lane; the ego keeps the inner one, driven by SUMO among risky drivers."""
     car = '<vehicle id="{}" type="{}" depart="{}" departLane="{}" departSpeed="8"><route edges="ab bc"/></vehicle>'
     cars = [car.format(f"l{k}", "long", 2.5 * k, 1) for k in range(8)]
@@ -171,9 +165,7 @@ def test_a_long_vehicle_beside_the_ego_in_a_turn_is_no_crash_unless_sumo_reports
 
 
 @pytest.mark.parametrize(("length", "brakes"), [(400, True), (1200, True), (1200, False)])
-def test_where_an_edge_is_longer_than_its_drawing_sumo_s_report_counts(
-    tmp_path: Path, length: int, brakes: bool
-) -> None:
+def test_where_an_edge_is_longer_than_drawn_sumo_s_report_counts(tmp_path, length: int, brakes: bool) -> None:
     """A queue at a red light: who stops behind it has not crashed, who does not stop has."""
     edges = f'<edge id="ab" from="a" to="b" speed="14" length="{length}"/>'
     net = build(

@@ -100,9 +100,7 @@ def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, 
         ("highway", {"lanes_count": 2}),
     ],
 )
-def test_a_scenario_of_another_task_road_or_clock_is_refused(
-    highway: gym.Env[Any, Any], task: str, config: dict[str, Any]
-) -> None:
+def test_a_scenario_of_another_road_or_clock_is_refused(highway, task: str, config: dict[str, Any]) -> None:
     other = DrivingEnv(task, config)
     scenario = other.task.scenario(other.config, 0)
     with pytest.raises(ConfigError, match=r"options\['scenario'\] must be o"):

@@ -179,7 +179,6 @@ def test_notes_say_what_info_says(make: Any, monkeypatch: pytest.MonkeyPatch) ->
                 other = info["crash"]["other"]
                 assert other in drawn[-1].lines[-1][1] and Mark(CRASH, other, other) in drawn[-1].marks
     assert {"", NEAR_MISS, CRASH} <= found
-    env.close()
 
 
 @pytest.mark.parametrize("id", sumo_env.IDS)
@@ -238,7 +237,6 @@ def test_a_film_stops_at_the_contact_and_the_next_episode_goes_on(make: Any) -> 
     assert info["crash"]["time"] <= env.pictured.time < info["crash"]["time"] + 0.101 < env.scene.time
     env.reset(seed=1)
     assert env.pictured is env.scene
-    env.close()
 
 
 # -- words beside cars -------------------------------------------------------------------------------------------------

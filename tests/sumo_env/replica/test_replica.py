@@ -67,9 +67,7 @@ def functions(x: float, y: float) -> tuple[float, float, float, float, float]:
     return unary(tan, x), unary(arcsin, x), unary(arctan, x), binary(arctan2, x, y), binary(power, abs(x), y)
 
 
-def test_stale_machine_code_that_cannot_be_removed_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stale_machine_code_that_cannot_be_removed_is_not_used(tmp_path, monkeypatch) -> None:
     """As in the directory of another user: the package can be imported, and compiles in each process."""
 
     def refuse(path: Path, **_: Any) -> None:
@@ -90,9 +88,7 @@ def test_stale_machine_code_that_cannot_be_removed_is_not_used(
     assert machine_code.stats.cache_path is None and index.exists()
 
 
-def test_who_begins_while_another_one_compiles_waits_and_loads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_who_begins_while_another_one_compiles_waits_and_loads(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr("numba.core.caching.FunctionCache.cache_path", str(tmp_path))
 
     @compiled

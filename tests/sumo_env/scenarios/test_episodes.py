@@ -261,7 +261,6 @@ def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None
     assert place.left != place.right  # gaps to the lane that is not there are 0
     assert (ego[6:8] == 0.0).all() != place.left and (ego[8:10] == 0.0).all() != place.right
     assert not others.any()
-    env.close()
 
 
 # -- SUMO of an environment --------------------------------------------------------------------------------

@@ -138,9 +138,7 @@ def test_sumo_reads_no_schema_of_the_network(town: Path, tmp_path: Path) -> None
 
 
 @needs_sumo
-def test_an_ego_of_an_included_file_is_known_with_the_place_where_it_arrives(
-    town: Path, tmp_path: Path
-) -> None:
+def test_an_ego_of_an_included_file_is_known_with_the_place_where_it_arrives(town: Path, tmp_path) -> None:
     more = tmp_path / "more.rou.xml"
     more.write_text(
         '<routes><vehicle id="me" depart="1" arrivalPos="30"><route edges="A0A1 A1B1"/></vehicle></routes>'
@@ -151,4 +149,3 @@ def test_an_ego_of_an_included_file_is_known_with_the_place_where_it_arrives(
     env.hand_over()
     *_, (*_, last) = list(drive(env, 1))
     assert last["ending"] == "arrived" and last["rewards"]["progress_reward"] < 0.2
-    env.close()

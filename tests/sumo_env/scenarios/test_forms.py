@@ -291,9 +291,7 @@ def test_odd_places(net: Path, tmp_path: Path) -> None:
     assert list(temporary.iterdir()) == []
 
 
-def test_arguments_of_any_name(
-    net: Path, usual: Rows, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_arguments_of_any_name(net: Path, usual: Rows, tmp_path, monkeypatch) -> None:
     """As they lie in the working folder, without the endings that SUMO's own files have."""
     written(tmp_path, net, says()(""), {"n": "town", "r": "demand.txt", "a": "more"}, {})
     monkeypatch.chdir(tmp_path)

@@ -117,9 +117,7 @@ def test_an_ego_that_sumo_drives_is_where_sumo_has_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_an_added_car_changes_nothing_before_it_comes_and_little_on_the_whole_later(
-    name: str, tmp_path: Path
-) -> None:
+def test_an_added_car_changes_nothing_before_it_comes_and_little_later(name: str, tmp_path) -> None:
     config = written(tmp_path, name)
     env = SumoDrivingEnv(config, ego_trips=[("B2B1", "A1A0")], config={"warm_up": 60, "duration": SECONDS})
     env.reset(seed=3)
@@ -148,9 +146,7 @@ MOST_BEFORE = 20.0  # [m] that a car drives before the policy step in which its 
 @pytest.mark.parametrize(
     "seed", [*range(6), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(6, 80))]
 )
-def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(
-    seed: int, tmp_path: Path
-) -> None:
+def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(seed: int, tmp_path) -> None:
     """One car or several, of any kind and with any way, driven by SUMO or by an agent, among risky drivers or not.
 
     Without commands and risk everybody is where ``sumo`` has them; two cars that touch tell the same of it.

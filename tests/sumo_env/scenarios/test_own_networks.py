@@ -112,9 +112,7 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
         (2 * DEPARTING.format(""), "'v' already exists"),
     ],
 )
-def test_what_sumo_refuses_is_an_error_of_the_reset_with_sumo_s_own_words(
-    merge: Path, tmp_path: Path, element: str, words: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_sumo_refuses_is_an_error_in_sumo_s_own_words(merge, tmp_path, element, words, capfd) -> None:
     env = SumoDrivingEnv(merge, route_file(tmp_path, element), ["main", "out"])
     with pytest.raises(SimulatorError, match="SUMO cannot begin") as caught:
         env.reset(seed=0)

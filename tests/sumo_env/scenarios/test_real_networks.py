@@ -93,9 +93,7 @@ def test_where_people_walk_through_junctions_nothing_changes_for_cars(tmp_path: 
     assert on_foot.isdisjoint(set().union(*leads.values()))
 
 
-def test_a_network_that_somebody_has_is_not_read_again(
-    pieces: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_network_that_somebody_has_is_not_read_again(pieces: Path, tmp_path, monkeypatch) -> None:
     copies = [shutil.copy(pieces, tmp_path / f"{number}.net.xml") for number in range(12)]
     had = [files.network(copy) for copy in copies]
     with monkeypatch.context() as patched:

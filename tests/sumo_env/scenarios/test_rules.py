@@ -247,4 +247,3 @@ def test_who_stands_until_sumo_takes_it_off_the_last_edge_has_not_arrived(tmp_pa
     env = SumoDrivingEnv(net, [], ["ab"], config, sumo_options=["--time-to-teleport=10"])
     *_, (_, reward, *_, info) = drive(env, SLOWER, seed=0)
     assert (info["ending"], info["arrived"]) == ("removed", False) and reward < 0.01
-    env.close()

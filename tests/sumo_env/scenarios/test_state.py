@@ -55,9 +55,7 @@ def test_an_offered_lane_change_is_made_within_5_s(tmp_path: Path, options: str,
     ("attributes", "most"), [('vClass="bicycle"', 13.9), ('maxSpeed="8"', 8.0), ('vClass="truck"', 36.2)]
 )
 @pytest.mark.parametrize("kind", ["DiscreteMetaAction", "ContinuousAction"])
-def test_the_fastest_speed_of_a_type_holds_for_commands(
-    tmp_path: Path, attributes: str, most: float, kind: str
-) -> None:
+def test_the_fastest_speed_of_a_type_holds(tmp_path: Path, attributes: str, most: float, kind: str) -> None:
     net = build(tmp_path, (NODES, "ab a b 1 25"))
     routes = route_file(
         tmp_path,

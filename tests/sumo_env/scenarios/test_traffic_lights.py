@@ -65,9 +65,7 @@ def test_who_cannot_stop_drives_on() -> None:
     assert speed_before(Light(GREEN, 5.0), 14.0, 0.1) == speed_before(NO_LIGHT, 14.0, 0.1) == np.inf
 
 
-def test_info_names_the_next_light_and_its_distance_and_an_ego_that_need_not_obey_drives_through_red() -> (
-    None
-):
+def test_info_names_the_next_light_and_its_distance_and_who_need_not_obey_drives_through_red() -> None:
     episode = list(infos())
     first = entered(episode)
     distances = [info["traffic_light_distance"] for info in episode]
@@ -122,9 +120,7 @@ def test_each_red_light_that_is_run_in_a_step_is_paid(tmp_path: Path) -> None:
     assert 2.0 in most
 
 
-def test_at_a_light_that_lets_vehicles_turn_an_obedient_ego_stops_and_goes_as_sumo_does(
-    tmp_path: Path,
-) -> None:
+def test_at_a_light_that_lets_vehicles_turn_an_obedient_ego_stops_and_goes_as_sumo_does(tmp_path) -> None:
     when = []
     for config in ({"obey_traffic_lights": True}, {"action": SUMO_DRIVES}):
         steps = list(two_lights(tmp_path, 100, "s", "G", **config))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -78,7 +77,6 @@ def test_they_are_those_of_the_tables_rows_on_every_task(task: str, backend: str
         assert_told(observation, absolute)
         observation, _, terminated, truncated, _ = env.step(env.action_space.sample())
         ended = terminated or truncated
-    env.close()
 
 
 @pytest.mark.parametrize("keys", [{}, {"order": "shuffled"}, {"clip": False, "see_behind": True}])
@@ -101,16 +99,13 @@ def test_kernels_give_the_table_of_the_scene(task: str, keys: dict[str, Any]) ->
 
 @needs_sumo
 @pytest.mark.parametrize("absolute", [False, True])
-def test_on_a_network_of_ones_own_they_are_along_the_axes_of_the_table(
-    tmp_path: Path, absolute: bool
-) -> None:
+def test_on_a_network_of_ones_own_they_are_along_the_axes_of_the_table(tmp_path, absolute: bool) -> None:
     config = {"observation": {**RAW, "absolute": absolute}}
     env = SumoDrivingEnv(written(tmp_path, "static"), ego_vehicle="ego", config=config)
     observation, _ = env.reset(seed=0)
     for _ in range(25):
         assert_told(observation, absolute)
         observation, *_ = env.step(env.action_space.sample())
-    env.close()
 
 
 def test_they_are_scaled_as_other_features_with_ranges_of_their_own() -> None:

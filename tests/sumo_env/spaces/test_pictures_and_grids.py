@@ -64,8 +64,6 @@ def test_pictures_are_highway_env_s(id: str, monkeypatch: pytest.MonkeyPatch) ->
         middle = [{*pictures[-1][20:-20, 20:-20].ravel().tolist()} for pictures in seen]
         assert {GREYS.ego, GREYS.crashed} & middle[0] == {GREYS.ego, GREYS.crashed} & middle[1] != set()
         seen = theirs.step(1)[0], ours.step(1)[0]
-    for env in (theirs, ours):
-        env.close()
 
 
 @pytest.mark.parametrize("id", ["sumo/u-turn-v0", "replica/u-turn-v0"])
@@ -79,8 +77,6 @@ def test_the_newest_picture_is_the_last_and_pictures_change_nothing(id: str) -> 
             assert env.observation_space.contains(seen) and result[:3] == expected[:3]
             assert np.array_equal(seen[:-1], before[1:]) and not np.array_equal(seen[-1], before[-1])
             before = seen
-    for one in (env, plain):
-        one.close()
 
 
 def test_an_agent_does_not_see_who_is_in_an_event() -> None:
@@ -90,7 +86,6 @@ def test_an_agent_does_not_see_who_is_in_an_event() -> None:
     seen = env.observation_type.observe()[-1]
     object.__setattr__(env.scene, "in_event", frozenset(env.scene.ids))
     assert np.array_equal(env.observation_type.observe()[-1], seen)
-    env.close()
 
 
 # -- grids ---------------------------------------------------------------------------------------------------------
@@ -213,7 +208,6 @@ def test_on_a_network_of_one_s_own_the_first_ray_points_ahead() -> None:
             assert seen[0] == pytest.approx(expected, abs=0.01)
             behind_others += 1
     assert behind_others > 3
-    env.close()
 
 
 def test_sectors_turn_with_the_ego_in_its_axes() -> None:
@@ -233,4 +227,3 @@ def test_sectors_turn_with_the_ego_in_its_axes() -> None:
         ]
         np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)
         assert not np.allclose(seen[0], seen[2])
-    env.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import re
-import subprocess
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -14,8 +13,9 @@ import pytest
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from tests.processes import python
-from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
+from tests.sumo_env.plans import Rows, build, grid, needs_sumo
 from tests.sumo_env.rollout import drive
+from tests.sumo_env.scenarios import test_oracle
 from tests.sumo_env.scenarios.test_oracle import differences, driven
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
@@ -160,13 +160,7 @@ def written(folder: Path, net: Path, text: str, names: dict[str, str], contents:
 
 def plain(config: Path) -> Rows:
     """What ``sumo`` does with a configuration."""
-    out = config.parent / "plain.fcd.xml"
-    command: list[str | Path] = [SUMO, "-c", config, "--seed=7", "--random=false", "--fcd-output", out]
-    command += [f"--end={SECONDS + 1}", "--precision=6"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    rows = floating_car_data(out)
-    return {time: {name: car for name, car in cars.items() if "lane" in car} for time, cars in rows.items()}
+    return test_oracle.plain(f"sumo -c '{config}' --seed=7 --random=false", config.parent, SECONDS)
 
 
 @pytest.fixture(scope="module")

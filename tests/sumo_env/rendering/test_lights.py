@@ -111,8 +111,5 @@ def test_opposite_lanes_are_divided_by_one_dashed_line() -> None:
     for task, lines in divided.items():
         road = TASKS[task].road({**TASKS[task].defaults})
         dashes = np.array([dash.mean(axis=0) for dash in markings(road).dashes])
-        straight = {(round(float(x), 1), "x") for x in dashes[:, 0] if np.isclose(dashes[:, 0], x).sum() > 10}
-        straight |= {
-            (round(float(y), 1), "y") for y in dashes[:, 1] if np.isclose(dashes[:, 1], y).sum() > 10
-        }
-        assert len(straight) == lines
+        straight = [{round(float(x), 1) for x in axis if np.isclose(axis, x).sum() > 10} for axis in dashes.T]
+        assert sum(map(len, straight)) == lines

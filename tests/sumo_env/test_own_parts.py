@@ -178,10 +178,8 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
     env.scene = replace(env.scene, sizes={})
     assert (wide != env.render()).any()
     env.export(tmp_path)
-    types = {
-        kind.get("id"): kind.get("length")
-        for kind in ElementTree.parse(tmp_path / "types.add.xml").iter("vType")
-    }
+    kinds = ElementTree.parse(tmp_path / "types.add.xml").iter("vType")
+    types = {kind.get("id"): kind.get("length") for kind in kinds}
     assert types["car-12x2.5"] == "12" and types["car"] is None
 
 

@@ -97,9 +97,8 @@ def test_a_cut_in_goes_to_the_only_lane_there_is(direction: int) -> None:
 
 
 def test_a_swerve_on_the_two_way_road_comes_back() -> None:
-    drawn = scenario(
-        "two-way", RiskEvent(0.2, "v0", "cut-in", direction=1), vehicles_count=1, oncoming_vehicles_count=0
-    )
+    swerve = RiskEvent(0.2, "v0", "cut-in", direction=1)
+    drawn = scenario("two-way", swerve, vehicles_count=1, oncoming_vehicles_count=0)
     slow = replace(drawn, ego=drawn.ego._replace(speed=0.0, target_speed=0.0))
     seen = driven(slow, 7, "v0")
     assert marked(seen, "v0") == list(range(3, 48))  # for 3 s
@@ -109,9 +108,8 @@ def test_a_swerve_on_the_two_way_road_comes_back() -> None:
 
 
 def test_events_of_vehicles_that_are_not_there_are_dropped() -> None:
-    drawn = scenario(
-        "intersection", RiskEvent(0.0, "s13", "surge", accel=4.0, duration=1.0), spawn_probability=1.0
-    )
+    surge = RiskEvent(0.0, "s13", "surge", accel=4.0, duration=1.0)
+    drawn = scenario("intersection", surge, spawn_probability=1.0)
     assert "s13" in {spawn.vehicle.id for spawn in drawn.spawns}
     Replica().reset(drawn)
     driven(drawn, 1, "ego")

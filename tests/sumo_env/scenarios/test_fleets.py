@@ -91,19 +91,15 @@ def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
     ends: dict[str, str] = {}
     while env.agents:
         _, _, terminated, _, infos = env.step(dict.fromkeys(env.agents, 2))  # FASTER
-        ends |= {
-            agent: "arrived" if infos[agent]["arrived"] else "crashed" for agent in infos if terminated[agent]
-        }
+        ends |= {agent: info["ending"] for agent, info in infos.items() if terminated[agent]}
     assert set(ends) == set(env.possible_agents) and "arrived" in ends.values()
     assert list(env.ids.values()) == ["early", "late", "g.0", "g.1"]
 
 
 def test_a_car_that_arrives_before_its_agent_has_acted_is_paid_and_the_others_drive_on(tmp_path) -> None:
     net = build(tmp_path, ("a 0 0, b 500 0, c 520 0", "ab a b 1 25, bc b c 1 25"))
-    cars = (
-        '<vType id="cav"/><trip id="long" type="cav" depart="0" from="ab" to="bc"/>'
-        '<trip id="short" type="cav" depart="1.2" from="bc" to="bc" departSpeed="max"/>'
-    )
+    cars = '<vType id="cav"/><trip id="long" type="cav" depart="0" from="ab" to="bc"/>'
+    cars += '<trip id="short" type="cav" depart="1.2" from="bc" to="bc" departSpeed="max"/>'
     env = sumo_env.parallel_env(net, routes=route_file(tmp_path, cars), vehicle_type="cav", max_cars=2)
     env.reset(seed=0)
     while "car_1" not in env.agents:
@@ -124,13 +120,9 @@ def test_a_crashed_car_stays_an_obstacle_after_sumo_has_teleported_it(road, tmp_
         <vehicle id="third" type="cav" depart="0" departPos="5"><route edges="ab bc"/></vehicle>
     """
     action = {"type": "DiscreteMetaAction", "target_speeds": [0.0, 3.0, 15.0]}
-    env = sumo_env.parallel_env(
-        road[0],
-        {"duration": 60, "action": action},
-        routes=route_file(tmp_path, cars),
-        vehicles=["ahead", "behind", "third"],
-        sumo_options=["--time-to-teleport=12"],
-    )
+    routes, names = route_file(tmp_path, cars), ["ahead", "behind", "third"]
+    given: dict[str, Any] = {"routes": routes, "vehicles": names, "sumo_options": ["--time-to-teleport=12"]}
+    env = sumo_env.parallel_env(road[0], {"duration": 60, "action": action}, **given)
     env.reset(seed=0)
     found, sumo = {"ahead": set[str](), "behind": set[str]()}, env.cars["car_0"].sumo.vehicle
     for step in range(60):

@@ -30,13 +30,8 @@ TEXT = """<{root}>
 <input><net-file value="{net}"/><route-files value="{routes}"/><additional-files value="{additional}"/></input>
 <time><step-length value="1"/></time>{more}
 </{root}>"""
-USUAL = {
-    "root": "configuration",
-    "net": "n.net.xml",
-    "routes": "r.rou.xml",
-    "additional": "a.add.xml",
-    "more": "",
-}
+USUAL = {"net": "n.net.xml", "routes": "r.rou.xml", "additional": "a.add.xml", "more": ""}
+USUAL["root"] = "configuration"
 Change = Callable[[str], str]
 
 
@@ -68,9 +63,7 @@ CONFIGURATIONS: dict[str, Change] = {  # of the usual traffic; some of them ``su
     "as usual": says(),
     "root of SUMO's own saving": says(root="sumoConfiguration"),
     "short attributes": without("net-file value => net-file v"),
-    "text in place of an attribute": without(
-        '<net-file value="n.net.xml"/> => <net-file>n.net.xml</net-file>'
-    ),
+    "text in place of an attribute": without('-file value="n.net.xml"/> => -file>n.net.xml</net-file>'),
     "synonyms": without("net-file => n", "route-files => routes", "additional-files => additional"),
     "no sections": without("<input>", "</input>", "<time>", "</time>"),
     "one section for all": without("</input>\n<time>", "</time> => </input>"),
@@ -145,12 +138,8 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def written(folder: Path, net: Path, text: str, names: dict[str, str], contents: dict[str, str]) -> Path:
     """The configuration of a form, with its files beside it."""
     names = {"c": "c.sumocfg", "n": "n.net.xml", "r": "r.rou.xml", "a": "a.add.xml", **names}
-    parts = {
-        "c": text,
-        "n": net.read_text(),
-        "r": f"<routes>{contents.get('r', ROUTES)}</routes>",
-        "a": f"<additional>{contents.get('a', ADDITIONAL)}</additional>",
-    }
+    parts = {"c": text, "n": net.read_text(), "r": f"<routes>{contents.get('r', ROUTES)}</routes>"}
+    parts["a"] = f"<additional>{contents.get('a', ADDITIONAL)}</additional>"
     (folder / "more.rou.xml").write_text("<routes/>")
     for part, name in names.items():
         (folder / name).parent.mkdir(exist_ok=True)
@@ -238,10 +227,8 @@ def test_packed_files(net: Path, usual: Rows, tmp_path: Path) -> None:
 
 def test_a_train_on_rails_alone(tmp_path: Path) -> None:
     """SUMO drives it; an agent may as well."""
-    edges = "".join(
-        f'<edge id="{one}{two}" from="{one}" to="{two}" numLanes="1" speed="20" allow="rail"/>'
-        for one, two in ("ab", "bc")
-    )
+    rails = '<edge id="{0}{1}" from="{0}" to="{1}" numLanes="1" speed="20" allow="rail"/>'
+    edges = rails.format(*"ab") + rails.format(*"bc")
     net = build(tmp_path, ("a 0 0, b 300 0, c 600 50", f"<edges>{edges}</edges>"))
     train = '<vType id="train" vClass="rail"/><trip id="{}" type="train" depart="{}" from="ab" to="bc"/>'
     text = says(net=net.name)("")
@@ -289,9 +276,8 @@ def test_arguments_of_any_name(net: Path, usual: Rows, tmp_path, monkeypatch) ->
     """As they lie in the working folder, without the endings that SUMO's own files have."""
     written(tmp_path, net, says()(""), {"n": "town", "r": "demand.txt", "a": "more"}, {})
     monkeypatch.chdir(tmp_path)
-    with closing(
-        SumoDrivingEnv("town", "demand.txt", additional="more", ego_vehicle="ego", config=SECOND)
-    ) as env:
+    given = "town", "demand.txt"
+    with closing(SumoDrivingEnv(*given, additional="more", ego_vehicle="ego", config=SECOND)) as env:
         env.reset(seed=7)
         assert differences(driven(env, SECONDS), usual, 1.0) == []
 

@@ -133,11 +133,8 @@ def test_what_sumo_refuses_is_an_error_in_sumo_s_own_words(merge, tmp_path, elem
 SHIPPED = Path(SUMO_HOME) / "tools"
 
 # A road that gets from two lanes to one by edges of a metre; the right lane goes on.
-PIECES = (
-    "a 0 0, b 200 0, c 201 0, d 202 0, e 203 0, f 330 0",
-    "ab a b 2 14, bc b c 2 14, cd c d 1 14, de d e 1 14, ef e f 1 14",
-    "ab 0 bc 0, ab 1 bc 1, bc 0 cd 0",
-)
+NODES, JOINTS = "a 0 0, b 200 0, c 201 0, d 202 0, e 203 0, f 330 0", "ab 0 bc 0, ab 1 bc 1, bc 0 cd 0"
+PIECES = NODES, "ab a b 2 14, bc b c 2 14, cd c d 1 14, de d e 1 14, ef e f 1 14", JOINTS
 WAY = ["ab", "bc", "cd", "de", "ef"]
 
 
@@ -158,11 +155,8 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def walk(network: Network, rng: random.Random, count: int) -> list[str]:
     """Edges for cars one after the other, none twice."""
-    ends = {
-        node: [end for end in after if files.CLOSED not in end]
-        for node, after in network.road.successors.items()
-        if files.CLOSED not in node
-    }
+    open_to = {node: after for node, after in network.road.successors.items() if files.CLOSED not in node}
+    ends = {node: [end for end in after if files.CLOSED not in end] for node, after in open_to.items()}
     way = [rng.choice(sorted(node[:-5] for node in ends if node.endswith(":from")))]
     while len(way) < count:
         following = [node[:-5] for node in ends.get(f"{way[-1]}:to", ()) if node[:-5] not in way]

@@ -48,10 +48,8 @@ def fronts(scene: Scene) -> dict[str, tuple[float, float]]:
     found = {}
     for row, name in enumerate(scene.ids):
         half, heading = scene.size(name)[0] / 2.0, float(scene.heading[row])
-        found[name] = (
-            float(scene.x[row]) + half * math.cos(heading),
-            -float(scene.y[row]) - half * math.sin(heading),
-        )
+        x, y = float(scene.x[row]), -float(scene.y[row])
+        found[name] = x + half * math.cos(heading), y - half * math.sin(heading)
     return found
 
 
@@ -147,9 +145,10 @@ CARS = ["ego", "t3", "t4"]
 MOST_BEFORE = 20.0  # [m] that a car drives before the policy step in which its agent takes over
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(6), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(6, 80))]
-)
+MANY = [pytest.param(seed, marks=pytest.mark.long) for seed in range(6, 80)]
+
+
+@pytest.mark.parametrize("seed", [*range(6), *MANY])
 def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(seed: int, tmp_path) -> None:
     """One car or several, of any kind and with any way, driven by SUMO or by an agent, among risky drivers or not.
 
@@ -162,15 +161,9 @@ def test_a_car_is_paid_for_what_it_drove_and_has_arrived_where_sumo_says_so(seed
     teleports = seed % 3 == 0
     options = ["--tripinfo-output", str(trips), "--ignore-route-errors"]
     options += ["--time-to-teleport", "30" if teleports else "-1"]
-    env = sumo_env.parallel_env(
-        net,
-        config,
-        routes=routes,
-        additional=beside,
-        vehicles=CARS[: rng.choice([1, 3])],
-        remove_crashed=seed % 4 == 1,
-        sumo_options=options,
-    )
+    given = {"routes": routes, "additional": beside, "vehicles": CARS[: rng.choice([1, 3])]}
+    given |= {"remove_crashed": seed % 4 == 1, "sumo_options": options}
+    env = sumo_env.parallel_env(net, config, **given)
     env.reset(seed=seed)
     first, scenes = env.cars["car_0"], list[tuple[float, Scene]]()
     begin = float(first.sumo.simulation.getTime()) - first.scene.time

@@ -20,12 +20,8 @@ pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*")]
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
 NODES = "a 0 0, b 1500 0"
 WIDE = NODES, "ab a b 4 20"
-LANES = {
-    "": [],
-    "sublanes": ["--lateral-resolution", "0.8"],
-    "wide sublanes": ["--lateral-resolution", "3.2"],
-    "duration": ["--lanechange.duration", "2"],
-}
+LANES = {"": [], "duration": ["--lanechange.duration", "2"], "sublanes": ["--lateral-resolution", "0.8"]}
+LANES["wide sublanes"] = ["--lateral-resolution", "3.2"]
 
 
 @pytest.mark.parametrize("options", LANES)
@@ -35,10 +31,8 @@ def test_an_offered_lane_change_is_made_within_5_s(tmp_path: Path, options: str,
     start = '<vehicle id="ego" type="own" depart="0" departLane="1" departPosLat="{}"><route edges="ab"/></vehicle>'
     routes = route_file(tmp_path, car + start.format(place))
     config = {"duration": 90, "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10]}}
-    env = SumoDrivingEnv(
-        build(tmp_path, WIDE), routes, ego_vehicle="ego", config=config, sumo_options=LANES[options]
-    )
-    with closing(env):
+    given: dict[str, Any] = {"ego_vehicle": "ego", "config": config, "sumo_options": LANES[options]}
+    with closing(SumoDrivingEnv(build(tmp_path, WIDE), routes, **given)) as env:
         env.reset(seed=0)
         env.step(FASTER)
         rng, made = Random(options + place), 0
@@ -57,17 +51,13 @@ def test_an_offered_lane_change_is_made_within_5_s(tmp_path: Path, options: str,
 @pytest.mark.parametrize("kind", ["DiscreteMetaAction", "ContinuousAction"])
 def test_the_fastest_speed_of_a_type_holds(tmp_path: Path, attributes: str, most: float, kind: str) -> None:
     net = build(tmp_path, (NODES, "ab a b 1 25"))
-    routes = route_file(
-        tmp_path,
-        f'<vType id="own" {attributes}/><vehicle id="ego" type="own" depart="0"><route edges="ab"/></vehicle>',
-    )
+    ego = '<vehicle id="ego" type="own" depart="0"><route edges="ab"/></vehicle>'
+    routes = route_file(tmp_path, f'<vType id="own" {attributes}/>{ego}')
     config = {"action": {"type": kind}, "duration": 40}
     with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config)) as env:
         env.reset(seed=0)
-        speeds = [
-            result[-1]["speed"]
-            for result in drive(env, FASTER if kind == "DiscreteMetaAction" else repeat(np.array([1.0, 0.0])))
-        ]
+        faster = FASTER if kind == "DiscreteMetaAction" else repeat(np.array([1.0, 0.0]))
+        speeds = [result[-1]["speed"] for result in drive(env, faster)]
     assert max(speeds) <= most + 1e-6
     if most < 25.0:
         assert max(speeds) == pytest.approx(most, abs=0.1)
@@ -113,9 +103,8 @@ def test_the_metres_of_a_step_are_sumo_s(tmp_path: Path, ballistic: bool, freque
     """Over random commands: what the ego has driven is where it is."""
     options = ["--step-method.ballistic", "true"] if ballistic else []
     config = {**QUIET, "simulation_frequency": frequency, "duration": 60, "policy_frequency": 1}
-    with closing(
-        SumoDrivingEnv(build(tmp_path, WIDE), [["ab"]], ["ab"], config, sumo_options=options)
-    ) as env:
+    net = build(tmp_path, WIDE)
+    with closing(SumoDrivingEnv(net, [["ab"]], ["ab"], config, sumo_options=options)) as env:
         env.reset(seed=0)
         start, total, rng = env.sumo.vehicle.getLanePosition("ego"), 0.0, Random(frequency)
         for _ in range(30):
@@ -126,9 +115,8 @@ def test_the_metres_of_a_step_are_sumo_s(tmp_path: Path, ballistic: bool, freque
 
 @pytest.mark.parametrize("kind", ["static", "actuated", "delay_based", "NEMA"])
 def test_no_light_changes_before_the_seconds_that_are_said(tmp_path: Path, kind: str) -> None:
-    net = grid(
-        tmp_path, "--grid.number=3", "-L=2", "--no-turnarounds", "--tls.set=B1", f"--tls.default-type={kind}"
-    )
+    lights = "--tls.set=B1", f"--tls.default-type={kind}"
+    net = grid(tmp_path, "--grid.number=3", "-L=2", "--no-turnarounds", *lights)
     flows = "".join(
         f'<flow id="{name}" begin="0" end="300" probability="0.3" from="{start}" to="{end}"/>'
         for name, start, end in (("we", "A1B1", "B1C1"), ("ns", "B2B1", "B1B0"), ("ew", "C1B1", "B1A1"))

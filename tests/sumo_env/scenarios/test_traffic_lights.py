@@ -84,9 +84,8 @@ def two_lights(folder: Path, apart: int, first: str, second: str, **config: Any)
     """Full speed over two lights that show these letters; what `step` returns, and the scene."""
     nodes = f"a 0 0, b 200 0 traffic_light, c {200 + apart} 0 traffic_light, d 500 0"
     sides = f", s 200 -90, t {200 + apart} -90"
-    net = build(
-        folder, (nodes + sides, streets("ab", "bc", "cd", "sb", "tc")), "--default.junctions.radius=1"
-    )
+    plan = nodes + sides, streets("ab", "bc", "cd", "sb", "tc")
+    net = build(folder, plan, "--default.junctions.radius=1")
     env = SumoDrivingEnv(net, ego_route=["ab", "bc", "cd"], config={**QUIET, **config})
     env.reset(seed=0)
     lights = env.sumo.trafficlight

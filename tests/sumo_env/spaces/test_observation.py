@@ -45,9 +45,7 @@ KINEMATICS: list[dict[str, Any]] = [
     {"type": "Kinematics", "clip": False, "features_range": {"x": [-50, 50], "heading": [-4, 4]}},
 ]
 GRIDS: list[dict[str, Any]] = [
-    {"type": "TimeToCollision", "horizon": 5},
-    {"type": "TimeToCollision", "horizon": 16},
-    {"type": "TimeToCollision"},
+    {"type": "TimeToCollision", **more} for more in ({"horizon": 5}, {"horizon": 16}, {})
 ]
 
 
@@ -135,9 +133,10 @@ def test_spaces_are_those_of_highway_env(task: str) -> None:
             assert gym.spaces.Discrete(len(own.action_type.names)) == theirs.action_space
 
 
-@pytest.mark.parametrize(
-    "action", [{"longitudinal": False}, {"lateral": False}, {"target_speeds": [5, 10, 15, 20]}]
-)
+ACTIONS = {"longitudinal": False}, {"lateral": False}, {"target_speeds": [5, 10, 15, 20]}
+
+
+@pytest.mark.parametrize("action", ACTIONS)
 @highway_env_task
 def test_actions_are_those_of_highway_env(task: str, action: dict[str, Any]) -> None:
     chosen = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 8, 16], **action}}

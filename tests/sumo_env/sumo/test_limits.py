@@ -58,12 +58,8 @@ def look(env: Any) -> dict[str, Seen]:
     there = {name for name in of.getIDList() if of.getLaneID(name)}
     rows = {name: row for row, name in enumerate(scene.ids) if name in there and not scene.crashed[row]}
     acts = {name: one.event for name, one in events._running.items() if one.acts}
-    return {
-        name: Seen(
-            *(of.getLaneID(name), of.getLateralLanePosition(name)), float(scene.speed[row]), acts.get(name)
-        )
-        for name, row in rows.items()
-    }
+    lanes = {name: (of.getLaneID(name), of.getLateralLanePosition(name)) for name in rows}
+    return {name: Seen(*lanes[name], scene.speed.item(row), acts.get(name)) for name, row in rows.items()}
 
 
 def aside(before: Seen, after: Seen) -> float:
@@ -78,23 +74,23 @@ def least_ttc(scene: Scene) -> float:
     """Time to collision by the speeds of the scene [s]."""
     states = [state_of(scene, row) for row in range(len(scene))]
     halves = [(length / 2.0, width / 2.0) for length, width in map(scene.size, scene.ids)]
-    fronts = [
-        (x + half * cos(h), y + half * sin(h)) for (x, y, _, h), (half, _) in zip(states, halves, strict=True)
-    ]
+    both = zip(states, halves, strict=True)
+    fronts = [(x + half * cos(h), y + half * sin(h)) for (x, y, _, h), (half, _) in both]
     near = [row for row in range(1, len(scene)) if dist(fronts[0], fronts[row]) <= TTC_RADIUS]
-    return min(
-        (ego_ttc(states[0], (states[row],), HORIZON, halves[row], halves[0]) for row in near), default=inf
-    )
+    found = [ego_ttc(states[0], (states[row],), HORIZON, halves[row], halves[0]) for row in near]
+    return min(found, default=inf)
 
 
 def own_modes(scenario: Scenario) -> Callable[[str], tuple[int, int]]:
     """The speed and lane-change modes in which SUMO drives each vehicle."""
     traffic = scenario.traffic
     if traffic is None:
-        specs = (*scenario.vehicles, *(spawn.vehicle for spawn in scenario.spawns))
-        return {
-            spec.id: WRECKED if spec.is_obstacle else modes(spec, scenario.calibration) for spec in specs
-        }.__getitem__
+        specs = {spec.id: spec for spec in scenario.everybody}
+
+        def of_task(name: str) -> tuple[int, int]:
+            return WRECKED if specs[name].is_obstacle else modes(specs[name], scenario.calibration)
+
+        return of_task
     models = dict(traffic.models)
 
     def of_files(name: str) -> tuple[int, int]:

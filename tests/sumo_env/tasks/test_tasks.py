@@ -21,16 +21,12 @@ from tests.sumo_env.parity import ego_state, make, scatter
 from tests.sumo_env.rollout import drive
 from tests.tasks import OF_HIGHWAY_ENV, every_task, highway_env_task
 
+OFF = {"offroad_terminal": True}
 WEIGHTS: dict[str, dict[str, Any]] = {
-    "highway": {
-        "right_lane_reward": 0.3,
-        "reward_speed_range": [15, 28],
-        "lanes_count": 3,
-        "offroad_terminal": True,
-    },
+    "highway": {"right_lane_reward": 0.3, "reward_speed_range": [15, 28], "lanes_count": 3, **OFF},
     "two-way": {"left_lane_reward": 0.5, "high_speed_reward": 0.3},
     "roundabout": {"lane_change_reward": -0.2, "high_speed_reward": 0.5},
-    "intersection": {"collision_reward": -2, "arrived_reward": 3, "offroad_terminal": True},
+    "intersection": {"collision_reward": -2, "arrived_reward": 3, **OFF},
     "u-turn": {"left_lane_reward": 0.4, "collision_reward": -3},
     "merge": {"merging_speed_reward": -0.7, "reward_speed_range": [18, 27]},
     "exit": {"goal_reward": 0.6, "right_lane_reward": 0.2, "collision_reward": -2, "lanes_count": 4},
@@ -77,9 +73,7 @@ def test_equal_in_random_states(task: str, changed: str, normalize: bool) -> Non
     assert len(seen) == (6 if task in ("intersection", "exit", "merge") else 5)  # where one arrives
 
 
-ALONE = dict.fromkeys(
-    ("vehicles_count", "initial_vehicle_count", "oncoming_vehicles_count", "spawn_probability"), 0
-)
+COUNTS = "vehicles_count", "initial_vehicle_count", "oncoming_vehicles_count", "spawn_probability"
 
 
 def configuration(task: str, rng: Random) -> dict[str, Any]:
@@ -96,7 +90,7 @@ def configuration(task: str, rng: Random) -> dict[str, Any]:
     if task == "two-way":
         config |= {"road_length": rng.uniform(100.0, 1500.0)}
     known = DrivingEnv(task).config
-    return config | {key: value for key, value in ALONE.items() if key in known}
+    return config | {key: 0 for key in COUNTS if key in known}
 
 
 @every_task
@@ -108,9 +102,8 @@ def test_the_lateral_coordinate_stays(task: str) -> None:
             (start, end, place), y = env.ego_state.target_lane, env.scene.y[0]
             for *_, terminated, _, info in drive(env, 1):
                 where = config, env.scene.time
-                if (
-                    terminated
-                ):  # at the intersection one car always crosses; a task of our own may have others
+                if terminated:
+                    # at the intersection one car always crosses; a task of our own may have others
                     own = task == "intersection" or task not in OF_HIGHWAY_ENV
                     assert not info["crashed"] or own, where
                     break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -50,16 +51,8 @@ def test_events_are_sorted_and_lie_within_the_episode_and_the_vehicle_s_life(dra
 
 
 def test_events_carry_what_the_rates_say() -> None:
-    rates = RiskRates(
-        cut_in=0.1,
-        brake=0.1,
-        brake_decel=4.0,
-        brake_duration=1.5,
-        surge=0.1,
-        surge_accel=3.0,
-        surge_duration=2.5,
-        surge_way=20.0,
-    )
+    brakes, surges = {"brake_decel": 4.0, "brake_duration": 1.5}, {"surge_accel": 3.0, "surge_duration": 2.5}
+    rates = replace(RATES, **brakes, **surges, surge_way=20.0)
     events = draw_events(rates, 1.0, VEHICLES, 0, 20.0)
     assert {(e.accel, e.duration) for e in events if e.kind == "brake"} == {(-4.0, 1.5)}
     assert {(e.accel, e.duration, e.way) for e in events if e.kind == "surge"} == {(3.0, 2.5, 20.0)}

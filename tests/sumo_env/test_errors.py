@@ -254,8 +254,8 @@ def of_sumo(*options: Any, task: Any = "highway") -> Callable[[], Any]:
 
 
 OWN = ("--step-length=0.5", "--lanechange.duration=2", "--time-to-teleport=60", "--lateral-resolution=0.8")
-FOR_FILES = "--scale=2", "--random-depart-offset=5", "--max-num-vehicles=3", "--random"
-FOR_FILES += ("--default.action-step-length=1",)
+FOR_FILES = ["--scale=2", "--random-depart-offset=5", "--max-num-vehicles=3", "--random"]
+FOR_FILES += ["--default.action-step-length=1"]
 NO_COPIES = ("threads", "fcd-output", "save-state.times", "additional-files")
 fleet = partial(partial, sumo_env.parallel_env)
 replica, batch = partial(gym.make, "replica/roundabout-v0"), partial(gym.make_vec, "replica/highway-v0", 2)

@@ -172,8 +172,8 @@ def tuples(action: dict[str, Any], observation: dict[str, Any], **keys: Any) -> 
 
 META, CONTINUOUS, SEEN = {"type": "DiscreteMetaAction"}, {"type": "ContinuousAction"}, {"type": "Kinematics"}
 # who is steered follows no route, so that its neighbours see no destination
-DESTINATIONS = {"type": "OccupancyGrid", "features": ["presence", "x", "y", "cos_d", "sin_d"]}
-DESTINATIONS["grid_size"] = [[-50, 50], [-50, 50]]
+FEATURES = ["presence", "x", "y", "cos_d", "sin_d"]
+DESTINATIONS = {"type": "OccupancyGrid", "features": FEATURES, "grid_size": [[-50, 50], [-50, 50]]}
 ENDS = {"offroad_terminal": True}
 LADDER = {**META, "lateral": False, "target_speeds": [0, 4.5, 9]}
 # [m/s] highway-env's steering divides by the speed: the rounding of a car that hardly moves grows

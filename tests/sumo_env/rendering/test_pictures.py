@@ -32,8 +32,8 @@ from sumo_env.simulator import EgoStep
 from tests.sumo_env.rollout import drive
 
 GROUND, ASPHALT, WHITE, _, EGO, FURTHER, OTHER, CRASHED, OBSTACLE, _, IN_EVENT = FILM
-VIEW = {**COMMON, "screen_width": 400, "screen_height": 200, "scaling": 10.0}
-VIEW["centering_position"] = [0.25, 0.5]
+EGO_AT = {"centering_position": [0.25, 0.5]}  # of the picture
+VIEW = {**COMMON, **EGO_AT, "screen_width": 400, "screen_height": 200, "scaling": 10.0}
 
 
 def scene(*vehicles: tuple[float, float, float], crashed: tuple[int, ...] = ()) -> Scene:

@@ -42,7 +42,10 @@ def cases(task: str, count: int, seed: int = 0) -> list[Case]:
     every = list(product(variants, TASKS[task].levels, (0.0, 1.0), POLICIES))
     order = np.random.default_rng(seed).permutation(len(every)).tolist()
     chosen = [every[order[k % len(every)]] for k in range(count)]
-    return [Case(task, *choices, seed=1000 * seed + k) for k, choices in enumerate(chosen)]
+    return [
+        Case(task, variant, level, risk, ego, 1000 * seed + k)
+        for k, (variant, level, risk, ego) in enumerate(chosen)
+    ]
 
 
 def side_by_side(

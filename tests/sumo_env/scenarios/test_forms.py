@@ -30,8 +30,8 @@ TEXT = """<{root}>
 <input><net-file value="{net}"/><route-files value="{routes}"/><additional-files value="{additional}"/></input>
 <time><step-length value="1"/></time>{more}
 </{root}>"""
-USUAL = {"net": "n.net.xml", "routes": "r.rou.xml", "additional": "a.add.xml", "more": ""}
-USUAL["root"] = "configuration"
+FILES = {"net": "n.net.xml", "routes": "r.rou.xml", "additional": "a.add.xml"}
+USUAL = {**FILES, "root": "configuration", "more": ""}
 Change = Callable[[str], str]
 
 
@@ -138,8 +138,9 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def written(folder: Path, net: Path, text: str, names: dict[str, str], contents: dict[str, str]) -> Path:
     """The configuration of a form, with its files beside it."""
     names = {"c": "c.sumocfg", "n": "n.net.xml", "r": "r.rou.xml", "a": "a.add.xml", **names}
-    parts = {"c": text, "n": net.read_text(), "r": f"<routes>{contents.get('r', ROUTES)}</routes>"}
-    parts["a"] = f"<additional>{contents.get('a', ADDITIONAL)}</additional>"
+    routes = f"<routes>{contents.get('r', ROUTES)}</routes>"
+    additional = f"<additional>{contents.get('a', ADDITIONAL)}</additional>"
+    parts = {"c": text, "n": net.read_text(), "r": routes, "a": additional}
     (folder / "more.rou.xml").write_text("<routes/>")
     for part, name in names.items():
         (folder / name).parent.mkdir(exist_ok=True)

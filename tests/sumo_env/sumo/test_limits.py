@@ -135,7 +135,7 @@ class Watch:
             self._owned(env.scene, base, events._returning.keys())
             acting = {env.ego_id, *events._changes}
             for name in before.keys() & after.keys():
-                where = f"{env.scene.time} s, {name}: {before[name]} {after[name]}"
+                where = env.scene.time, name, before[name], after[name]
                 self._lengthwise(name, before[name], after[name], env.ego_id, where)
                 self._sideways(before[name], after[name], name in acting, where)
             before = after
@@ -158,7 +158,7 @@ class Watch:
             if not stands and name not in returning and abs(of.getSpeed(name) - own) > FURTHER:
                 self.faults.append(f"{scene.time} s, {name}: {of.getSpeed(name)} m/s, by itself {own}")
 
-    def _lengthwise(self, name: str, one: Seen, other: Seen, ego: str, where: str) -> None:
+    def _lengthwise(self, name: str, one: Seen, other: Seen, ego: str, where: object) -> None:
         of, accel = libsumo.vehicle, (other.speed - one.speed) * HZ
         beyond = -accel - max(of.getEmergencyDecel(name), of.getDecel(name)), accel - of.getAccel(name)
         if other.event is not None:
@@ -172,7 +172,7 @@ class Watch:
             errors = PERCEIVED if of.getTypeID(name).startswith("eidm") else 0.0
             self.excess = np.maximum(self.excess, np.array(beyond) - errors)
 
-    def _sideways(self, one: Seen, other: Seen, is_commanded: bool, where: str) -> None:
+    def _sideways(self, one: Seen, other: Seen, is_commanded: bool, where: object) -> None:
         moved = aside(one, other)
         if self.takes and moved > libsumo.lane.getWidth(other.lane) / self.takes / HZ + RESIDUE:
             self.faults.append(f"{where} {moved} m sideways")

@@ -33,12 +33,8 @@ ROADS = {
 def pair(request):
     """A road, and highway-env's RoadNetwork of it, built by its own `_make_road` without an environment."""
     ours, cls, arguments, config = ROADS[request.param]
-    config = {
-        **config,
-        "show_trajectories": False,
-        "neighbour_vehicles_connected_lanes": False,
-        "speed_limit": 30,
-    }
+    config = {**config, "show_trajectories": False, "speed_limit": 30}
+    config["neighbour_vehicles_connected_lanes"] = False
     env = SimpleNamespace(config=config, np_random=np.random.default_rng(0))
     make = cls._create_road if issubclass(cls, envs.HighwayEnv) else cls._make_road
     make(env, **arguments)
@@ -76,9 +72,7 @@ def test_who_may_change_to_which_lane(pair):
     ours, theirs = pair
     for index, lane in theirs.lanes_dict().items():
         middle = lane.position(lane.length / 2, 0.0)
-        allowed = [
-            other for other in theirs.side_lanes(index) if theirs.get_lane(other).is_reachable_from(middle)
-        ]
+        allowed = [one for one in theirs.side_lanes(index) if theirs.get_lane(one).is_reachable_from(middle)]
         assert [other for side in (-1, 1) if (other := ours.beside(index, side))] == allowed
 
 
@@ -170,6 +164,5 @@ def test_a_lane_of_pieces_is_measured_as_shapely_does() -> None:
         for x, y in (points[rng.integers(6, size=60)] + rng.normal(0.0, 4.0, (60, 2))).tolist():
             s, lateral = lane.local_coordinates(x, y)
             if 0.0 < s < lane.length:
-                assert (s, abs(lateral)) == pytest.approx(
-                    (line.project(shapely.Point(x, y)), line.distance(shapely.Point(x, y)))
-                )
+                place = shapely.Point(x, y)
+                assert (s, abs(lateral)) == pytest.approx((line.project(place), line.distance(place)))

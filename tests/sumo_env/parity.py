@@ -63,7 +63,5 @@ def scatter(env: ScenarioEnv, rng: np.random.Generator) -> None:
     ego: ControlledVehicle = env.vehicle
     ego.speed_index = int(rng.integers(len(env.target_speeds)))
     ego.target_speed = env.target_speeds[ego.speed_index]
-    ego.target_lane_index = (
-        *ego.lane_index[:2],
-        int(rng.integers(len(network.all_side_lanes(ego.lane_index)))),
-    )
+    lane = int(rng.integers(len(network.all_side_lanes(ego.lane_index))))
+    ego.target_lane_index = (*ego.lane_index[:2], lane)

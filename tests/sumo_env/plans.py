@@ -90,10 +90,9 @@ Rows = dict[float, dict[str, dict[str, str]]]  # time [s] -> vehicle -> attribut
 
 
 def floating_car_data(path: Path) -> Rows:
-    root = ElementTree.parse(path).getroot()
-    return {
-        round(float(now.get("time", "")), 2): {car.get("id", ""): car.attrib for car in now} for now in root
-    }
+    steps = ElementTree.parse(path).getroot()
+    cars = [{car.get("id", ""): car.attrib for car in now} for now in steps]
+    return {round(float(now.get("time", "")), 2): there for now, there in zip(steps, cars, strict=True)}
 
 
 def opened(configuration: Path) -> Rows:

@@ -44,13 +44,10 @@ def record(env: DrivingEnv, seed: int) -> np.ndarray:
     """As `rollout`, in a given environment."""
     actions = np.random.default_rng(seed + 1).integers(len(env.actions), size=100).tolist()
     observation, info = env.reset(seed=seed)
-    results = [(observation, 0.0, False, False, info), *drive(env, actions)]
-    return np.array(
-        [
-            [*seen.ravel(), reward, info["speed"], info["density"], min(info["min_ttc"], 1e9)]
-            for seen, reward, _, _, info in results
-        ]
-    )
+    rows, results = [], [(observation, 0.0, False, False, info), *drive(env, actions)]
+    for seen, reward, _, _, info in results:
+        rows.append([*seen.ravel(), reward, info["speed"], info["density"], min(info["min_ttc"], 1e9)])
+    return np.array(rows)
 
 
 def digest(rows: np.ndarray) -> str:
@@ -92,12 +89,8 @@ def mismatch(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
     wrong = []
     if abs(apart[0] - apart[1]) > 1e-6 or abs(turn) > 1e-6:
         wrong.append(f"one contact at {apart[0]:.2f} and {apart[1]:.2f} m, {turn:.2f} rad")
-    wrong += [
-        f"one contact with two {key}s: {one[key]}, {other[key]}"
-        for key in ("type", "time", "detected_by")
-        if one[key] != other[key]
-    ]
-    return wrong
+    keys = [key for key in ("type", "time", "detected_by") if one[key] != other[key]]
+    return wrong + [f"one contact with two {key}s: {one[key]}, {other[key]}" for key in keys]
 
 
 if __name__ == "__main__":

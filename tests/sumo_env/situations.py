@@ -35,9 +35,8 @@ def placed(
 ) -> VehicleSpec:
     """A vehicle of a scenario elsewhere: `s` [m] along a lane, with this speed [m/s]; more: as of `make_on_lane`."""
     spec = scenario.vehicles[number]
-    return make_on_lane(
-        scenario.road, spec.id, lane, s, speed, spec.driver, destination=spec.destination, **more
-    )
+    place = scenario.road, spec.id, lane, s, speed
+    return make_on_lane(*place, spec.driver, destination=spec.destination, **more)
 
 
 def with_leader(distance: float, speed: float) -> Callable[[Scenario], Scenario]:

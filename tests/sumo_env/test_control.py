@@ -23,11 +23,8 @@ WAYS = [way for way in product(AXES, AXES) if any(way)]
 COMMANDED, SUMO_S = 32, 31  # SUMO's speed modes; likewise 0 and 1621 for lane changes
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
 # 300 m with two lanes, of which the left one alone leads on to 300 m more
-STRAIGHT = (
-    "a 0 0, b 300 0, c 600 0, d 500 -200",
-    "ab a b 2 20, bc b c 1 20, bd b d 1 10",
-    "ab 1 bc 0, ab 0 bd 0",
-)
+NODES, EDGES = "a 0 0, b 300 0, c 600 0, d 500 -200", "ab a b 2 20, bc b c 1 20, bd b d 1 10"
+STRAIGHT = NODES, EDGES, "ab 1 bc 0, ab 0 bd 0"
 
 
 @pytest.fixture(scope="module")
@@ -104,9 +101,8 @@ def test_sumo_has_the_pedals_for_an_agent_that_changes_lanes() -> None:
     """It keeps its distance, where an ego that holds its speed runs into the next car."""
     crashed = []
     for longitudinal in ("sumo", False):
-        env = DrivingEnv(
-            "highway", {"action": {**SUMO_DRIVES, "longitudinal": longitudinal, "lateral": True}}
-        )
+        action = {**SUMO_DRIVES, "longitudinal": longitudinal, "lateral": True}
+        env = DrivingEnv("highway", {"action": action})
         *_, (*_, info) = drive(env, IDLE, seed=1)
         crashed.append(info["crashed"])
         env.close()
@@ -218,7 +214,6 @@ def test_sumo_brings_the_ego_back_from_the_lane_of_oncoming_traffic() -> None:
         env.hand_over()
         *_, (*_, info) = drive(env, IDLE)
         assert info["ending"] == "time" and env.scene.y[0] == pytest.approx(4.0, abs=0.1)
-    env.close()
 
 
 def test_a_wrapper_hands_over_by_a_rule_and_reset_takes_back(net: Path) -> None:

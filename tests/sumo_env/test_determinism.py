@@ -7,7 +7,6 @@ import os
 import threading
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -19,9 +18,7 @@ from tests.processes import children, descriptors, python
 from tests.sumo_env.rollout import digest, record, rollout
 from tests.tasks import every_task
 
-CROWDED: dict[str, dict[str, Any]] = {
-    name: list(task.levels.values())[:2][-1] for name, task in TASKS.items()
-}
+CROWDED = {name: list(task.levels.values())[:2][-1] for name, task in TASKS.items()}
 CASES = [(task, 5, {**CROWDED[task], "risk": risk}) for task in TASKS for risk in (0.0, 1.0)]
 
 

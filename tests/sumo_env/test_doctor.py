@@ -15,9 +15,7 @@ from sumo_env import __main__ as doctor
 from tests.processes import ROOT, python
 
 
-def test_the_version_of_gymnasium_comes_first_and_the_folder_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_version_of_gymnasium_comes_first_and_the_folder_is_named(monkeypatch, capsys) -> None:
     """An old one makes later checks fail for reasons that mislead."""
     monkeypatch.setattr(doctor.gym, "__version__", "0.29.1")
     assert doctor.examine(doctor.CHECKS) == 1
@@ -38,9 +36,7 @@ def test_a_sound_installation_passes() -> None:
         assert "steps/s" in line
 
 
-def test_a_problem_is_told_and_ends_the_examination(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_problem_is_told_and_ends_the_examination(monkeypatch, capsys) -> None:
     def never() -> str:
         raise AssertionError("this check rests on the one before")
 

@@ -37,13 +37,8 @@ LIDAR = {"type": "LidarObservation"}
 
 WEIGHTS = [0.3, 0.6, 0.1]
 PICTURES = {"type": "GrayscaleObservation", "observation_shape": [9, 9], "stack_size": 1, "weights": WEIGHTS}
-WRONG_PICTURES: list[tuple[str, Any]] = [
-    ("stack_size", 0),
-    ("observation_shape", [128.5, 64]),
-    ("weights", [1.0]),
-    ("scaling", -1),
-    ("centering_position", [0.5]),
-]
+WRONG_PICTURES: dict[str, Any] = {"stack_size": 0, "observation_shape": [128.5, 64], "weights": [1.0]}
+WRONG_PICTURES |= {"scaling": -1, "centering_position": [0.5]}
 
 
 def acts(kind: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -106,7 +101,7 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/u-turn", sees(GRID, grid_size=[[-5, 5]]), "'grid_size'"),
     ("sumo/u-turn", sees(GRID, grid_step=[1e-9, 5]), "1 to 1000 cells"),
     ("sumo/u-turn", sees(GRID, features_range={"vx": [3]}), "'features_range'"),
-    *(("sumo/highway", sees(PICTURES, **{key: value}), key) for key, value in WRONG_PICTURES),
+    *(("sumo/highway", sees(PICTURES, **{key: value}), key) for key, value in WRONG_PICTURES.items()),
     # actions
     ("sumo/highway", acts(META, target_speeds=[-5, 0, 5]), "replica/*"),
     ("sumo/highway", acts(META, longitudinal=False, lateral=False), "lateral or both"),
@@ -186,7 +181,6 @@ def test_what_is_no_action_is_refused(id: str, kind: dict[str, Any], actions: li
         with pytest.raises(ValueError, match="action must be"):
             env.step(action)
     env.step(env.action_space.sample())  # unharmed
-    env.close()
 
 
 @pytest.mark.parametrize(("id", "kind", "actions"), BATCHES, ids=str)
@@ -197,7 +191,6 @@ def test_what_is_no_action_of_a_batch_is_refused(id: str, kind: dict[str, Any], 
         with pytest.raises(ValueError, match=r"2 of (Discrete|Box)|finite numbers"):
             envs.step(action)
     envs.step(envs.action_space.sample())
-    envs.close()
 
 
 class Twice(Highway):
@@ -261,13 +254,8 @@ def of_sumo(*options: Any, task: Any = "highway") -> Callable[[], Any]:
 
 
 OWN = ("--step-length=0.5", "--lanechange.duration=2", "--time-to-teleport=60", "--lateral-resolution=0.8")
-FOR_FILES = (
-    "--scale=2",
-    "--random-depart-offset=5",
-    "--max-num-vehicles=3",
-    "--default.action-step-length=1",
-    "--random",
-)
+FOR_FILES = ["--scale=2", "--random-depart-offset=5", "--max-num-vehicles=3", "--random"]
+FOR_FILES += ["--default.action-step-length=1"]
 NO_COPIES = ("threads", "fcd-output", "save-state.times", "additional-files")
 fleet = partial(partial, sumo_env.parallel_env)
 replica, batch = partial(gym.make, "replica/roundabout-v0"), partial(gym.make_vec, "replica/highway-v0", 2)

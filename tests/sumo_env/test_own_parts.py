@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import random
+from collections.abc import Callable
 from contextlib import ExitStack, closing, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -83,7 +85,6 @@ def test_an_obstacle_is_seen_and_hit_and_a_forbidden_lane_is_not_changed_to(made
     (*_, info) = list(drive(env, 2))[-1]
     assert info["crash"]["other"] == "obstacle:0" and env.scene.x[1] == 60.0
     assert info["crash"]["x"] == pytest.approx(56.5, abs=2.0)
-    env.close()
 
 
 class Endless(Merge):
@@ -177,10 +178,8 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
     env.scene = replace(env.scene, sizes={})
     assert (wide != env.render()).any()
     env.export(tmp_path)
-    types = {
-        kind.get("id"): kind.get("length")
-        for kind in ElementTree.parse(tmp_path / "types.add.xml").iter("vType")
-    }
+    kinds = ElementTree.parse(tmp_path / "types.add.xml").iter("vType")
+    types = {kind.get("id"): kind.get("length") for kind in kinds}
     assert types["car-12x2.5"] == "12" and types["car"] is None
 
 
@@ -210,26 +209,24 @@ def test_sumo_writes_its_files(tmp_path: Path, in_a_worker: bool) -> None:
     assert trips == [{"ego", *(f"v{k}" for k in range(count))} for count in (3, 1, 2, 3)]
 
 
-class Random(Highway):
-    """It draws from a generator that no seed sets."""
+def placing(change: Callable[[Any, Any], Any]) -> Highway:
+    """The highway with other vehicles: what a function makes of each, which is given the configuration as well."""
 
-    def vehicles(self, *arguments: Any) -> list[Any]:
-        return [spec._replace(speed=20 + random.random()) for spec in super().vehicles(*arguments)]
+    class Placing(Highway):
+        def vehicles(self, config: Any, *arguments: Any) -> list[Any]:
+            return [change(spec, config) for spec in super().vehicles(config, *arguments)]
 
-
-class Dosed(Highway):
-    """Its vehicles are slower where they are risky."""
-
-    def vehicles(self, config: Any, *arguments: Any) -> list[Any]:
-        specs = super().vehicles(config, *arguments)
-        return [spec._replace(speed=spec.speed - config["risk"]) for spec in specs]
+    return Placing()
 
 
-class Weightless(Highway):
-    """One term has no weight, another is no number."""
+def paying(terms: Callable[[Any], dict[str, float]]) -> Highway:
+    """The highway with other terms of its reward, which a function gives of the ego."""
 
-    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
-        return {**super().rewards(ego, config), "gap_reward": 1.0, "collision_reward": float("nan")}
+    class Paying(Highway):
+        def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+            return {**super().rewards(ego, config), **terms(ego)}
+
+    return Paying()
 
 
 @pytest.mark.parametrize("task", [*TASKS.values(), Own()], ids=lambda task: task.name)
@@ -237,59 +234,38 @@ def test_tasks_without_a_fault_have_none(task: Any) -> None:
     sumo_env.check_task(task, {"risk": 1.0})
 
 
-class Crowded(Highway):
-    """Beyond the road where it is dense."""
-
-    def vehicles(self, config: Any, *arguments: Any) -> list[Any]:
-        first, *others = super().vehicles(config, *arguments)
-        return [first._replace(s=1e6) if config["vehicles_count"] == 150 else first, *others]
-
-
 def test_all_levels_of_a_task_are_driven() -> None:
+    crowded = placing(lambda spec, config: spec._replace(s=1e6) if config["vehicles_count"] == 150 else spec)
     with pytest.raises(ValueError) as error:
-        sumo_env.check_task(Crowded())
+        sumo_env.check_task(crowded)
     assert error.value.__notes__ == ["in an episode of the task 'highway' at the level '150'"]
 
 
-class Changing(Highway):
-    """A term that comes and goes."""
-
-    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
-        return {**super().rewards(ego, config), **({"headway_reward": 1.0} if ego.action == 1 else {})}
-
-
-class Remembering(Highway):
-    """What it has seen before decides what it pays."""
-
-    steps = 0
-
-    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
-        self.steps += 1
-        return {**super().rewards(ego, config), "high_speed_reward": 1.0 / self.steps}
-
-
-class Nowhere(Highway):
-    """A vehicle beside the road, and an ego of another name."""
-
+class Renamed(Highway):
     def ego(self, *arguments: Any) -> Any:
         return super().ego(*arguments)._replace(id="me")
 
-    def vehicles(self, *arguments: Any) -> list[Any]:
-        first, *others = super().vehicles(*arguments)
-        return [first._replace(lane=("0", "1", 9)), *others]
+
+chance, count = placing(lambda spec, _: spec._replace(speed=20 + random.random())), itertools.count(1)
+dosed = placing(lambda spec, config: spec._replace(speed=spec.speed - config["risk"]))
+beside = placing(lambda spec, _: spec._replace(lane=("0", "1", 9)))
+weightless = paying(lambda _: {"gap_reward": 1.0, "collision_reward": float("nan")})
+comes_and_goes = paying(lambda ego: {"headway_reward": 1.0} if ego.action == 1 else {})
+remembering = paying(lambda _: {"high_speed_reward": 1.0 / next(count)})
 
 
 @pytest.mark.parametrize(
     ("task", "words"),
     [
-        (Random(), ["a seed gives two scenarios: draw from rng"]),
-        (Dosed(), ["1 fault(s)", "the dose of risk moves vehicles"]),
-        (Weightless(), ["'gap_reward' of the reward has no weight", "'collision_reward' is nan"]),
-        (Changing(), ["differ between steps"]),
-        (Remembering(), ["1 fault(s)", "a seed gives two episodes"]),
+        (chance, ["a seed gives two scenarios: draw from rng"]),
+        (dosed, ["1 fault(s)", "the dose of risk moves vehicles"]),
+        (weightless, ["'gap_reward' of the reward has no weight", "'collision_reward' is nan"]),
+        (comes_and_goes, ["differ between steps"]),
+        (remembering, ["1 fault(s)", "a seed gives two episodes"]),
         (Highway, ["not <class"]),
         (type("Uneven", (Highway,), {"target_speeds": (20.0, 21.0, 30.0)})(), ["not evenly spaced"]),
-        (Nowhere(), ["the ego is called 'me'", "no lane ('0', '1', 9) for 'v0'"]),  # before SUMO sees them
+        (Renamed(), ["the ego is called 'me'"]),
+        (beside, ["no lane ('0', '1', 9) for 'v0'"]),  # before SUMO sees it
     ],
 )
 def test_faults_are_named(task: Any, words: list[str]) -> None:

@@ -46,10 +46,8 @@ def kill(envs: SumoVectorEnv, index: int) -> None:
 def test_equal_to_gymnasiums_loop_over_single_environments(kwargs: dict[str, Any]) -> None:
     """Observations, rewards, endings and infos, through two episodes and more."""
     ours = gym.make_vec("sumo/intersection-v0", num_envs=2, config=CONFIG, **kwargs)
-    theirs = gym.vector.SyncVectorEnv(
-        [lambda: DrivingEnv("intersection", CONFIG) for _ in range(2)],
-        autoreset_mode=ours.metadata["autoreset_mode"],
-    )
+    mode = ours.metadata["autoreset_mode"]
+    theirs = gym.vector.SyncVectorEnv(2 * [lambda: DrivingEnv("intersection", CONFIG)], autoreset_mode=mode)
     for space in ("observation_space", "action_space"):
         assert getattr(ours, space) == getattr(theirs, space)
         assert getattr(ours, f"single_{space}") == getattr(theirs, f"single_{space}")
@@ -79,12 +77,10 @@ def test_configuration_at_reset(envs: SumoVectorEnv) -> None:
     envs.step([0, 0])  # unharmed
 
 
-def test_spaces_stay_as_they_are() -> None:
-    envs = gym.make_vec("sumo/u-turn-v0", num_envs=1)
-    envs.reset(seed=0)
+def test_spaces_stay_as_they_are(envs: SumoVectorEnv) -> None:
     with pytest.raises(ValueError, match="make a new vector environment"):
         envs.reset(options={"config": {"observation": {"type": "Kinematics", "vehicles_count": 3}}})
-    envs.step([1])  # unharmed
+    envs.step([1, 1])  # unharmed
 
 
 def test_a_killed_worker_is_replaced(envs: SumoVectorEnv) -> None:
@@ -141,5 +137,3 @@ def test_an_episode_that_cannot_go_on_ends_alone() -> None:
         seen, rewards, terminated, truncated, infos = envs.step([slow, fast])
         assert_same_bits(seen[0], other.step(slow)[0])
         assert not (terminated | truncated).any() and rewards[1] >= 0.0
-    envs.close()
-    other.close()

@@ -30,11 +30,8 @@ class OwnReward(HighwayEnv):
     def _rewards(self, action: int | None) -> dict[str, float]:
         front, _ = self.road.neighbour_vehicles(self.vehicle, self.vehicle.lane_index)
         gap = self.vehicle.lane_distance_to(front) if front else 100.0
-        return {
-            **super()._rewards(action),
-            "gap_reward": float(np.clip(gap / 100.0, 0, 1)),
-            "tailgating_reward": float(gap < 10.0),
-        }
+        own = {"gap_reward": float(np.clip(gap / 100.0, 0, 1)), "tailgating_reward": float(gap < 10.0)}
+        return {**super()._rewards(action), **own}
 
     def _reward(self, action: int) -> float:
         return sum(self.config.get(name, 0) * reward for name, reward in self._rewards(action).items())
@@ -70,11 +67,8 @@ class Arrival(IntersectionEnv):
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
         near = self.road.close_vehicles_to(self.vehicle, 20.0, see_behind=True)
-        return {
-            **super()._info(obs, action),
-            "near": len(near),
-            "is_success": self.task.arrived(self.ego_state),
-        }
+        own = {"near": len(near), "is_success": self.task.arrived(self.ego_state)}
+        return {**super()._info(obs, action), **own}
 
 
 def test_a_subclass_of_the_intersection_tells_more() -> None:

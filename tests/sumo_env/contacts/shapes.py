@@ -7,13 +7,14 @@ import shapely
 
 from sumo_env.contacts.rectangles import Half, State
 
+CAR: Half = (2.5, 1.0)  # half its length and width [m]
 CORNERS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])  # in half sizes
 
 
-def polygons(x, y, heading, half: Half = (2.5, 1.0)) -> np.ndarray:
+def polygons(x, y, heading, half: Half = CAR) -> np.ndarray:
     """Polygons of vehicles at x, y [m] with these headings [rad]: arrays of one shape, which is the result's.
 
-    half: their half size [m], that of a car of 5 m by 2 m unless given.
+    half: their half size [m].
     """
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
     along, across = (CORNERS * half).T

@@ -54,38 +54,26 @@ LOW = nodes(f"w 0 0 0, e 400 0 0, {SIDE_ROAD.format(2)}"), edges("we", "sn")
 # A road that crosses itself at (140, 0): as one edge, as two that a junction joins, as a ramp over its own road.
 TURN = "200,0 260,60 200,120"
 LOOP = nodes("a 0 0 0, b 140 -150 0"), edges(f'ab shape="0,0 {TURN} 140,60 140,-150"')
-TWO_EDGES = (
-    nodes("a 0 0 0, m 200 120 0, b 140 -150 0"),
-    edges(f'am shape="0,0 {TURN}"', 'mb shape="200,120 140,60 140,-150"'),
-)
-FLYOVER = (
-    nodes("a 0 0 0, m 100 0 0, e 500 0 0, n 240 200 0"),
-    edges("am", "me", 'mn shape="100,0 160,-40 230,-40 240,-20 240,200"'),
-)
+BACK, RAMP = 'mb shape="200,120 140,60 140,-150"', 'mn shape="100,0 160,-40 230,-40 240,-20 240,200"'
+TWO_EDGES = nodes("a 0 0 0, m 200 120 0, b 140 -150 0"), edges(f'am shape="0,0 {TURN}"', BACK)
+FLYOVER = nodes("a 0 0 0, m 100 0 0, e 500 0 0, n 240 200 0"), edges("am", "me", RAMP)
 # Two roads drawn over each other that share no junction, and two that share both.
 PARALLEL = nodes("w 0 0 0, e 400 0 0, v 0 1 0, f 400 1 0"), edges("we", "vf")
-OPPOSITE = nodes("w 0 0 0, e 400 0 0"), edges('we shape="0,0 400,0"', 'ew shape="400,-2 0,-2"')
-BIDI = (
-    nodes("w 0 0 0, e 400 0 0"),
-    edges('we spreadType="center" bidi="ew"', 'ew spreadType="center" bidi="we"'),
-)
-OVERTAKING = nodes("w 0 0 0, e 400 0 0"), neighbours("we", "ew") + neighbours("ew", "we")
+ENDS = nodes("w 0 0 0, e 400 0 0")
+OPPOSITE = ENDS, edges('we shape="0,0 400,0"', 'ew shape="400,-2 0,-2"')
+BIDI = ENDS, edges('we spreadType="center" bidi="ew"', 'ew spreadType="center" bidi="we"')
+OVERTAKING = ENDS, neighbours("we", "ew") + neighbours("ew", "we")
 JUNCTION = (
     nodes(f"w 0 0 0, m 200 0 0, e 400 0 0, {SIDE_ROAD.format(0)}"),
     edges("wm", "me", "sm", "mn"),
     '<connection from="sm" to="mn"/><connection from="wm" to="me"/>',
 )
-STRETCHED = nodes("w 0 0 0, e 400 0 0"), edges('we length="1600"')
+STRETCHED = ENDS, edges('we length="1600"')
 HILL = nodes("w 0 0 0, m 200 0 20, e 400 0 0"), edges("wm", "me")
-MERGE = (nodes("w 0 0 0, s 40 -90 0, m 200 0 0, e 400 0 0"), edges("wm", "sm", "me"))
-NARROW = (  # a ramp that is drawn over the main road for some hundred metres
-    nodes("w 0 0 0, s 0 -9 0, m 300 0 0, e 400 0 0"),
-    edges("wm", "sm", "me"),
-)
-PIECES = (  # edges of a metre
-    nodes("w 0 0 0, a 200 0 0, b 201 0 0, c 202 0 0, e 400 0 0"),
-    edges("wa", "ab", "bc", "ce"),
-)
+MERGE = nodes("w 0 0 0, s 40 -90 0, m 200 0 0, e 400 0 0"), edges("wm", "sm", "me")
+# A ramp that is drawn over the main road for some hundred metres, and edges of a metre.
+NARROW = nodes("w 0 0 0, s 0 -9 0, m 300 0 0, e 400 0 0"), edges("wm", "sm", "me")
+PIECES = nodes("w 0 0 0, a 200 0 0, b 201 0 0, c 202 0 0, e 400 0 0"), edges("wa", "ab", "bc", "ce")
 
 
 class Other(NamedTuple):
@@ -147,9 +135,7 @@ NEVER = {
 
 
 @pytest.mark.parametrize("case", NEVER)
-def test_roads_that_cross_without_a_junction_never_meet(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_roads_that_cross_without_a_junction_never_meet(case: str, tmp_path, monkeypatch) -> None:
     found = straight_on(tmp_path, *NEVER[case])
     assert found.infos[-1]["arrived"] and not found.crash
     assert found.least_ttc == math.inf
@@ -164,16 +150,12 @@ def test_roads_that_cross_without_a_junction_never_meet(
     [(LOOP, ["ab"], "ab_0"), (TWO_EDGES, ["am", "mb"], "mb_0")],
     ids=["one edge", "two edges"],
 )
-def test_a_road_that_crosses_itself_is_met_by_the_way_round_only(
-    plan, way, lane, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_road_that_crosses_itself_is_met_by_the_way_round(plan, way, lane, tmp_path, monkeypatch) -> None:
     other = Other(way[-1:], lane, 138.4, -3.5)
     found = straight_on(tmp_path, plan, way, other)
     assert (found.crash["other"], found.crash["type"]) == ("another", "rear-end")
-    driven = np.cumsum([info["distance"] for info in found.infos])
-    assert all(
-        info["min_ttc"] == math.inf for info, way in zip(found.infos, driven, strict=True) if way < 160
-    )
+    driven, ttc = np.array([(info["distance"], info["min_ttc"]) for info in found.infos]).T
+    assert np.isinf(ttc[driven.cumsum() < 160.0]).all()
     monkeypatch.setattr(Meeting, "can_meet", lambda *_: True)
     assert straight_on(tmp_path, plan, way, other).crash["type"] == "junction"
 
@@ -279,24 +261,21 @@ def test_the_ego_is_as_large_as_its_vehicle_type(tmp_path: Path) -> None:
     assert crash["relative_x"] == pytest.approx(8.0 + 2.5, abs=0.01)
 
 
-def test_of_a_vehicle_of_several_parts_the_parts_behind_follow_the_road(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_a_vehicle_of_several_parts_the_parts_behind_follow_the_road(tmp_path, monkeypatch) -> None:
     """A long bus turns right while the ego drives past on its left; its outline in one piece would swing out."""
     plan = ("a 0 0,b 200 0,c 400 0,d 200 -200", "ab a b 2 14,bc b c 1 14,bd b d 1 14", "ab 0 bd 0,ab 1 bc 0")
     net = build(tmp_path, plan)
-    bus = '<vType id="bus" vClass="bus" guiShape="bus/flexible" length="18"/>'
-    bus += (
-        '<vehicle id="bus" type="bus" depart="0" departLane="0" departPos="{}" departSpeed="{}">{}</vehicle>'
-    )
+    kind = '<vType id="bus" vClass="bus" guiShape="bus/flexible" length="18"/>'
+    start = 'type="bus" depart="0" departLane="0" departPos="{}" departSpeed="{}"'
+    bus = f'{kind}<vehicle id="bus" {start}>{{}}</vehicle>'
 
     def driven(position: float, speed: float, way: str) -> dict[str, Any]:
         ego = '<vehicle id="ego" depart="0" departLane="1" departSpeed="10"><route edges="ab bc"/></vehicle>'
         file = route_file(tmp_path, bus.format(position, speed, way) + ego)
         env = SumoDrivingEnv(net, file, ego_vehicle="ego", config={"duration": 50})
         with closing(env):
-            results = list(drive(env, FASTER, 0))
-            return dict(results[-1][-1])
+            *_, (*_, info) = drive(env, FASTER, 0)
+        return dict(info)
 
     turns = 55, 7, '<route edges="ab bd"/>'
     assert driven(*turns)["ending"] == "arrived"

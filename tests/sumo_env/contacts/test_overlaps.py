@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import pytest
 
@@ -22,11 +23,7 @@ KEY = "overlaps_are_crashes"
 
 ROAD = "a 0 0, b 300 0"
 TWO, WIDE = (ROAD, "ab a b 2 20"), (ROAD, "ab a b 3 20")
-CROSSING = (
-    "w -100 0, e 100 0, s 0 -100, n 0 100, c 0 0 {}",
-    streets("wc", "ce", "sc", "cn"),
-    "wc 0 ce 0, sc 0 cn 0",
-)
+ARMS, WAYS = "w -100 0, e 100 0, s 0 -100, n 0 100, c 0 0 {}", "wc 0 ce 0, sc 0 cn 0"
 
 
 def drawn_elsewhere(net: Path, lane: str, shape: str) -> Path:
@@ -51,9 +48,7 @@ def test_lanes_that_are_drawn_over_each_other(tmp_path: Path, by_sumo: bool) -> 
 
 
 @pytest.mark.parametrize(("ahead", "crashes"), [(-4.6, False), (-1.0, True)])
-def test_a_lane_change_that_sumo_makes_at_once_sweeps_nothing(
-    tmp_path: Path, ahead: float, crashes: bool
-) -> None:
+def test_a_lane_change_that_sumo_makes_at_once_sweeps_nothing(tmp_path, ahead: float, crashes: bool) -> None:
     """From beside a car to a place before it that is free; where the place is taken, it is a crash."""
     net = drawn_elsewhere(build(tmp_path, TWO), "0.00,-4.80 300.00,-4.80", "8.00,-4.80 308.00,-4.80")
     config = {**QUIET, "policy_frequency": 10, "initial_speed": 5}
@@ -89,16 +84,14 @@ def test_in_the_sublane_model_a_vehicle_is_as_its_lane_is(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("by_sumo", [False, True])
-def test_ways_that_sumo_lets_pass_through_each_other_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by_sumo: bool
-) -> None:
+def test_ways_that_sumo_lets_pass_through_each_other_are_named(tmp_path, monkeypatch, by_sumo: bool) -> None:
     """On a junction without rules SUMO knows no conflict; on a regulated one a touch is a crash, also unreported."""
     step = Session.step
     monkeypatch.setattr(Session, "step", lambda session: step(session)[:0])  # SUMO reports no collision
     found = {}
     for rule in ("unregulated", "priority"):
-        nodes, *more = CROSSING
-        net = build(tmp_path, (nodes.format(rule), *more), "--no-turnarounds")
+        plan = ARMS.format(rule), streets("wc", "ce", "sc", "cn"), WAYS
+        net = build(tmp_path, plan, "--no-turnarounds")
         (inside,) = files.network(net).sumo_lanes["sc_0"].following
         for counts in (False, True):
             config = {**QUIET, "policy_frequency": 10, KEY: counts}
@@ -115,36 +108,31 @@ def test_ways_that_sumo_lets_pass_through_each_other_are_named(
         assert found["priority", False] == found["priority", True] == ("geometry", set())
 
 
-@pytest.mark.parametrize(
-    ("episodes", "is_judged_by_outlines"),
-    [
-        pytest.param(range(3), True, marks=pytest.mark.slow),
-        *(
-            pytest.param(range(first, first + 10), False, marks=pytest.mark.long)
-            for first in range(0, 50, 10)
-        ),
-    ],
-)
+FEW = pytest.param(range(3), True, marks=pytest.mark.slow)
+TENS = [range(first, first + 10) for first in range(0, 50, 10)]
+MANY = [pytest.param(episodes, False, marks=pytest.mark.long) for episodes in TENS]
+
+
+@pytest.mark.parametrize(("episodes", "by_outlines"), [FEW, *MANY])
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_ego_that_sumo_drives_crashes_where_sumo_reports_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind, episodes: range, is_judged_by_outlines: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind, episodes: range, by_outlines: bool
 ) -> None:
     """At risk 0. In a few episodes by outlines as well, as for an ego of the agent's: these touch nowhere."""
-    if is_judged_by_outlines:
+    if by_outlines:
         monkeypatch.setattr(RouteEgo, "is_sumos", False)
     overlaps = 0
     for number in episodes:
         net, routes, options = kind(tmp_path, Random(number))
         config = {"action": SUMO_DRIVES, "duration": 60, "policy_frequency": 2}
-        with closing(
-            SumoDrivingEnv(net, str(routes), ego_vehicle="ego", config=config, sumo_options=options)
-        ) as env:
+        given: dict[str, Any] = {"ego_vehicle": "ego", "config": config, "sumo_options": options}
+        with closing(SumoDrivingEnv(net, str(routes), **given)) as env:
             infos = [result[-1] for result in drive(env, 0, number)]
         assert infos[-1]["crash"].get("detected_by") != "geometry", number
         way = sum(info["rewards"]["progress_reward"] for info in infos)
         assert way == pytest.approx(1.0) if infos[-1]["arrived"] else -0.01 <= way < 1.0
         overlaps += any(info["overlap"] for info in infos)
-    if is_judged_by_outlines and kind.__name__ == "junctions":
+    if by_outlines and kind.__name__ == "junctions":
         assert overlaps  # there is something to judge
 
 
@@ -152,9 +140,7 @@ CORNER = ("a 0 0, b 150 0, c 150 -150", "ab a b 2 14, bc b c 2 14", "ab 0 bc 0, 
 
 
 @pytest.mark.parametrize("kind", ["coach", "truck"])
-def test_a_long_vehicle_beside_the_ego_in_a_turn_is_no_crash_unless_sumo_reports_it(
-    tmp_path: Path, kind: str
-) -> None:
+def test_a_long_vehicle_beside_the_ego_in_a_turn_is_no_crash_unless_sumo_says_so(tmp_path, kind: str) -> None:
     """It turns on the outer lane; the ego keeps the inner one, driven by SUMO among risky drivers."""
     car = '<vehicle id="{}" type="{}" depart="{}" departLane="{}" departSpeed="8"><route edges="ab bc"/></vehicle>'
     cars = [car.format(f"l{k}", "long", 2.5 * k, 1) for k in range(8)]
@@ -171,20 +157,16 @@ def test_a_long_vehicle_beside_the_ego_in_a_turn_is_no_crash_unless_sumo_reports
 
 
 @pytest.mark.parametrize(("length", "brakes"), [(400, True), (1200, True), (1200, False)])
-def test_where_an_edge_is_longer_than_its_drawing_sumo_s_report_counts(
-    tmp_path: Path, length: int, brakes: bool
-) -> None:
+def test_where_an_edge_is_longer_than_drawn_sumo_s_report_counts(tmp_path, length: int, brakes: bool) -> None:
     """A queue at a red light: who stops behind it has not crashed, who does not stop has."""
     edges = f'<edge id="ab" from="a" to="b" speed="14" length="{length}"/>'
-    net = build(
-        tmp_path, ("a 0 0, b 400 0 traffic_light, c 600 0, s 400 -90", edges + _edge("bc") + _edge("sb"))
-    )
+    edges += '<edge id="bc" from="b" to="c" speed="14"/><edge id="sb" from="s" to="b" speed="14"/>'
+    net = build(tmp_path, ("a 0 0, b 400 0 traffic_light, c 600 0, s 400 -90", edges))
     car = '<vehicle id="{}" depart="{}" departPos="{}"><route edges="ab bc"/></vehicle>'
     cars = [car.format(f"q{k}", k, "last") for k in range(12)] + [car.format("ego", 13, "base")]
     config = {"duration": 150, "policy_frequency": 2, "risk": 0.2}
-    with closing(
-        SumoDrivingEnv(net, route_file(tmp_path, "".join(cars)), ego_vehicle="ego", config=config)
-    ) as env:
+    routes = route_file(tmp_path, "".join(cars))
+    with closing(SumoDrivingEnv(net, routes, ego_vehicle="ego", config=config)) as env:
         env.reset(seed=0)
         (light,) = env.sumo.trafficlight.getIDList()
         env.sumo.trafficlight.setRedYellowGreenState(light, "rr")
@@ -192,7 +174,3 @@ def test_where_an_edge_is_longer_than_its_drawing_sumo_s_report_counts(
         infos = [result[-1] for result in drive(env, FASTER)]
     assert infos[-1]["ending"] == ("time" if brakes else "crash")
     assert (infos[-1]["speed"] < 0.1) == brakes
-
-
-def _edge(name: str) -> str:
-    return f'<edge id="{name}" from="{name[0]}" to="{name[1]}" speed="14"/>'

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import Any
 
 import numpy as np
@@ -31,11 +31,8 @@ TOUCHING = 0.1  # [m] SUMO's own reports count within it
 
 def way(before: Scene, after: Scene, name: str) -> np.ndarray:
     """Poses of a vehicle in a sub-step, evenly from the first to the last, shape (PARTS, 3)."""
-    first, last = (
-        np.array([scene.x[row], scene.y[row], scene.heading[row]])
-        for scene in (before, after)
-        for row in (scene.ids.index(name),)
-    )
+    rows = [(scene, scene.ids.index(name)) for scene in (before, after)]
+    first, last = (np.array([scene.x[row], scene.y[row], scene.heading[row]]) for scene, row in rows)
     last[2] = first[2] + (last[2] - first[2] + math.pi) % (2 * math.pi) - math.pi
     return first + np.linspace(1 / PARTS, 1, PARTS)[:, None] * (last - first)
 
@@ -92,12 +89,14 @@ def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[S
 
 
 # 300 episodes of each task bring a thousand contacts.
-@pytest.mark.parametrize(
-    "number", [pytest.param(10, marks=pytest.mark.slow), pytest.param(300, marks=pytest.mark.long)]
-)
+MANY = pytest.param(300, marks=pytest.mark.long)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [10, MANY])
 def test_the_ego_crashes_when_it_touches_another_vehicle(number: int) -> None:
-    contacts, missed, wrong = 0, [], []
-    pairs = flagged = 0
+    contacts = pairs = flagged = 0
+    missed, wrong = [], []
     for task in TASKS:
         for truth, env, trace in episodes(task, number):
             crash = env.ego_state.crashed
@@ -106,12 +105,7 @@ def test_the_ego_crashes_when_it_touches_another_vehicle(number: int) -> None:
                 missed.append((task, env.scenario.seed))
             if crash and truth.nearest > TOUCHING:
                 wrong.append((task, env.scenario.seed, truth.nearest))
-            wrecks = {
-                name
-                for scene in trace
-                for name, crashed in zip(scene.ids, scene.crashed, strict=True)
-                if crashed
-            }
+            wrecks = {name for scene in trace for name in compress(scene.ids, scene.crashed)}
             pairs += len(truth.others)
             flagged += sum(set(pair) <= wrecks for pair in truth.others)
     print(f"{contacts} contacts of the ego, {len(missed)} missed; {pairs} of others, {flagged} noticed")

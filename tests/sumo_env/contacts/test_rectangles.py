@@ -1,4 +1,4 @@
-"""Contacts against shapely's polygons."""
+"""Contacts against shapely's polygons, time to collision against stepping through time; headway, density by hand."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import shapely
 
+from sumo_env.contacts.measures import density, ego_ttc, headways
 from sumo_env.contacts.rectangles import (
     FINEST,
-    LENGTH,
-    WIDTH,
+    Half,
+    State,
     distance,
     first_touch,
     separation,
@@ -19,7 +20,7 @@ from sumo_env.contacts.rectangles import (
     touch_moment,
 )
 
-from .shapes import polygons, rows, state
+from .shapes import CAR, polygons, rows, state
 
 
 @pytest.fixture(scope="module")
@@ -78,50 +79,37 @@ def ways() -> tuple[np.ndarray, np.ndarray]:
     return before, before + move
 
 
-def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways) -> None:
-    before, after = ways
+@pytest.mark.parametrize(("own", "other"), [(CAR, CAR), ((8.0, 1.25), (0.8, 0.3))])
+def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways, own: Half, other: Half) -> None:
+    """Of two cars, and of a truck and a bicycle."""
+    before, after = (poses[:, :, None] for poses in ways)
     looks = 200
     states = [rows(poses[i].T) for i in (0, 1) for poses in ways]
-    ours = np.array([touch_moment(*four) for four in zip(*states, strict=True)])
-    share = np.arange(looks + 1)[:, None, None, None] / looks
-    way = np.moveaxis(before + share * (after - before), 0, 2)  # (2, 3, looks + 1, pairs)
-    gaps = np.hypot(*(way[1, :2] - way[0, :2])) - math.hypot(LENGTH, WIDTH)  # at least
-    near = gaps < 0.1
-    gaps[near] = shapely.distance(*(polygons(*poses[:, near]) for poses in way))
-    met = gaps.min(axis=0) == 0.0
-    grazed = met & (gaps[0] > 0.0) & (gaps[-1] > 0.0)
-    assert 0.3 < met.mean() < 0.9 and grazed.sum() > 20  # contacts between two looks are among them
-    assert met.sum() > 1000
-    assert np.isfinite(ours[met]).mean() >= 0.999
-    longer = (gaps == 0.0).sum(axis=0) / looks >= FINEST
-    assert np.isfinite(ours[met & longer]).all()
-    assert (gaps.min(axis=0)[np.isfinite(ours)] < 0.03).all()  # none where shapely sees a gap all the way
-    both = met & np.isfinite(ours)
-    assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= FINEST + 1e-4
-
-
-def test_touches_of_a_truck_and_a_bicycle_equal_shapely(ways) -> None:
-    sizes = (8.0, 1.25), (0.8, 0.3)
-    starts, ends = ways
-    states = [rows(poses[i].T) for i in (0, 1) for poses in ways]
-    ours = np.array(
-        [touch_moment(a, b, c, d, other=sizes[1], own=sizes[0]) for a, b, c, d in zip(*states, strict=True)]
-    )
-    again = [
-        touch_moment(c, d, a, b, other=sizes[0], own=sizes[1]) for a, b, c, d in zip(*states, strict=True)
-    ]
+    every = list(zip(*states, strict=True))
+    ours = np.array([touch_moment(a, b, c, d, other=other, own=own) for a, b, c, d in every])
+    again = [touch_moment(c, d, a, b, other=own, own=other) for a, b, c, d in every]
     np.testing.assert_allclose(again, ours, atol=1e-9)
-    met = np.isfinite(ours)
-    assert 0.3 < met.mean() < 0.95
 
-    def gaps(moment: np.ndarray) -> np.ndarray:
-        poses = starts + moment * (ends - starts)
-        x, y, heading = poses.swapaxes(0, 1)
-        outlines = [polygons(x[i], y[i], heading[i], sizes[i]) for i in (0, 1)]
-        return shapely.distance(*outlines)
+    def gaps_at(share: np.ndarray) -> np.ndarray:
+        """Between the two of each pair on a share of the way, shape (looks, pairs)."""
+        one, two = before + share * (after - before)
+        found = np.hypot(*(two[:2] - one[:2])) - math.hypot(*own) - math.hypot(*other)  # at least
+        near = found < 0.1
+        (x, y, h), (a, b, g) = one[:, near], two[:, near]
+        found[near] = shapely.distance(polygons(x, y, h, own), polygons(a, b, g, other))
+        return found
 
-    assert gaps(np.where(met, ours, 0.0))[met].max() < 1e-6
-    assert min(gaps(np.full(len(ours), moment))[~met].min() for moment in np.linspace(0, 1, 21)) > 0.0
+    gaps = gaps_at(np.linspace(0.0, 1.0, looks + 1)[:, None])
+    met, told = gaps.min(axis=0) == 0.0, np.isfinite(ours)
+    grazed = met & (gaps[0] > 0.0) & (gaps[-1] > 0.0)
+    assert 0.3 < met.mean() < 0.95 and grazed.sum() > 20  # contacts between two looks are among them
+    assert met.sum() > 1000
+    assert told[met].mean() >= 0.999
+    longer = (gaps == 0.0).sum(axis=0) / looks >= FINEST
+    assert told[met & longer].all()
+    assert gaps_at(np.where(told, ours, 0.0)[None])[0, told].max() < 1e-6
+    both = met & told
+    assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= FINEST + 1e-4
 
 
 def test_turning_the_short_way_through_the_half_turn() -> None:
@@ -143,3 +131,94 @@ def test_the_state_between_is_that_of_the_moment() -> None:
     x, y, speed, heading = state_between(before, after, 0.25)
     assert (x, y, speed) == (0.5, 0.25, 20.0)
     assert heading == pytest.approx(3.1 + 0.25 * (2 * math.pi - 6.2))  # the short way
+
+
+# -- time to collision, headway and density --------------------------------------------------------------------------
+
+HORIZON = 4.0
+STEP = 0.02
+
+
+@pytest.fixture(scope="module")
+def traffic() -> np.ndarray:
+    """States of an ego and 1500 others; some are parallel to it, touch it or stand still, two thirds meet it."""
+    rng = np.random.default_rng(11)
+    n = 1501
+    heading = rng.uniform(-math.pi, math.pi, n)
+    heading[: n // 5] = heading[0]
+    speed = rng.uniform(-3, 25, n)
+    speed[n // 2 : n // 2 + 100] = 0.0
+    x, y = rng.uniform(-50, 50, (2, n))
+    x[0], y[0], speed[0] = 1.0, -2.0, 14.0
+    vx, vy = speed * np.cos(heading), speed * np.sin(heading)
+    near = slice(n // 3, n)  # their centres pass within 5 m or so of the ego's
+    when = rng.uniform(0.3, HORIZON, n)[near]
+    x[near] = x[0] + (vx[0] - vx[near]) * when + rng.uniform(-4, 4, len(when))
+    y[near] = y[0] + (vy[0] - vy[near]) * when + rng.uniform(-4, 4, len(when))
+    return np.column_stack([x, y, speed, heading])
+
+
+def states_of(traffic: np.ndarray) -> list[State]:
+    return [tuple(row) for row in traffic.tolist()]
+
+
+def ttc(traffic: np.ndarray, **sizes: Half) -> np.ndarray:
+    """Of the first row with each of the others."""
+    ego, *others = states_of(traffic)
+    return np.array([ego_ttc(ego, [other], HORIZON, **sizes) for other in others])
+
+
+def moved(traffic: np.ndarray, times: np.ndarray, half: Half) -> np.ndarray:
+    """Polygons after `times` [s], one for each row of `traffic` or broadcast to them."""
+    x, y, speed, heading = traffic.T
+    x, y = x + speed * np.cos(heading) * times, y + speed * np.sin(heading) * times
+    return polygons(x, y, np.broadcast_to(heading, x.shape), half)
+
+
+@pytest.mark.parametrize(("own", "half"), [(CAR, CAR), ((8.0, 1.25), (9.0, 1.3)), ((8.0, 1.25), CAR)])
+def test_at_that_time_they_touch_and_before_they_do_not(traffic, own: Half, half: Half) -> None:
+    """Nor do they at any time where there is none: all steps are looked at."""
+    ours = ttc(traffic, own=own, half=half)
+    ego, *others = states_of(traffic)
+    np.testing.assert_allclose([ego_ttc(other, [ego], HORIZON, half=own, own=half) for other in others], ours)
+    assert (ours <= ttc(traffic)).all()
+
+    def gaps(those: np.ndarray, times: np.ndarray) -> np.ndarray:
+        return shapely.distance(moved(traffic[1:][those], times, half), moved(traffic[:1], times, own))
+
+    hits = np.flatnonzero(np.isfinite(ours))
+    later = hits[ours[hits] > 0.0]
+    assert 200 < len(later) < len(hits) < 0.9 * len(ours)
+    assert (gaps(hits, ours[hits]) < 1e-8).all() and (gaps(later, 0.999 * ours[later]) > 0.0).all()
+    times = np.arange(0.0, HORIZON, STEP)
+    those, steps = np.nonzero(times < ours[:, None] - 1e-9)
+    assert (gaps(those, times[steps]) > 0.0).all()
+
+
+def test_the_time_of_the_ego_is_the_least_of_all(traffic) -> None:
+    ego, *others = states_of(traffic)
+    everybody = ttc(traffic)
+    for start in range(0, 1500, 50):
+        assert ego_ttc(ego, others[start : start + 50], HORIZON) == everybody[start : start + 50].min()
+    assert ego_ttc(ego, []) == math.inf
+
+
+def test_headway_is_to_the_nearest_in_the_corridor() -> None:
+    x = np.array([0.0, 30.0, 20.0, 25.0, -10.0, 95.0])
+    y = np.array([0.0, 0.5, 2.5, -1.9, 0.0, 0.0])
+    speed = np.array([10.0, 20.0, 0.05, 10.0, 10.0, 10.0])
+    # the third is beside the corridor of the first and hardly moves; 95 is more than 60 m ahead of 30
+    expected = [2.0, math.inf, math.inf, math.inf, 0.5, math.inf]
+    assert headways(x, y, speed, np.zeros(6)) == pytest.approx(expected)
+
+
+def test_headway_follows_the_heading() -> None:
+    x, y = np.array([0.0, 0.0, 0.0]), np.array([0.0, -15.0, 15.0])
+    ours = headways(x, y, np.full(3, 5.0), np.full(3, -math.pi / 2))  # all drive north, y is down
+    assert ours == pytest.approx([2.0, math.inf, 2.0])
+
+
+def test_density_counts_the_others_within_the_radius() -> None:
+    x, y = np.array([0.0, 199.9, -150.0, 150.0]), np.array([0.0, 0.0, 150.0, 100.0])
+    assert density(x, y) == 2
+    assert density(x[:1], y[:1]) == 0

@@ -54,9 +54,8 @@ def test_one_car_alone_is_the_single_environment_to_the_bit(kind: str, task: str
     found, rng = driven(env, 3), np.random.default_rng(3)
     env.close()
     observation, info = single.reset(seed=3)
-    assert found[0][0]["car_0"].tobytes() == observation.tobytes() and repr(found[0][1]["car_0"]) == repr(
-        info
-    )
+    assert found[0][0]["car_0"].tobytes() == observation.tobytes()
+    assert repr(found[0][1]["car_0"]) == repr(info)
     for step in found[1:]:
         observation, *rest = single.step(int(rng.integers(single.action_space.n)))
         assert step[0]["car_0"].tobytes() == observation.tobytes()
@@ -173,11 +172,9 @@ def tuples(action: dict[str, Any], observation: dict[str, Any], **keys: Any) -> 
 
 META, CONTINUOUS, SEEN = {"type": "DiscreteMetaAction"}, {"type": "ContinuousAction"}, {"type": "Kinematics"}
 # who is steered follows no route, so that its neighbours see no destination
-DESTINATIONS = {
-    "type": "OccupancyGrid",
-    "features": ["presence", "x", "y", "cos_d", "sin_d"],
-    "grid_size": [[-50, 50], [-50, 50]],
-}
+FEATURES = ["presence", "x", "y", "cos_d", "sin_d"]
+DESTINATIONS = {"type": "OccupancyGrid", "features": FEATURES, "grid_size": [[-50, 50], [-50, 50]]}
+ENDS = {"offroad_terminal": True}
 LADDER = {**META, "lateral": False, "target_speeds": [0, 4.5, 9]}
 # [m/s] highway-env's steering divides by the speed: the rounding of a car that hardly moves grows
 STANDING = 0.2
@@ -187,10 +184,7 @@ CASES = {
     "pedals": ("highway-v0", tuples(CONTINUOUS, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "grid": ("highway-v0", tuples({"type": "DiscreteAction"}, SEEN, controlled_vehicles=2, vehicles_count=8)),
     "four arms": ("intersection-v0", tuples(LADDER, SEEN, controlled_vehicles=4, destination=None)),
-    "destinations": (
-        "intersection-v0",
-        tuples(CONTINUOUS, DESTINATIONS, controlled_vehicles=3, offroad_terminal=True),
-    ),
+    "destinations": ("intersection-v0", tuples(CONTINUOUS, DESTINATIONS, controlled_vehicles=3, **ENDS)),
     "intersection": ("intersection-multi-agent-v0", None),
     "each its own": ("intersection-multi-agent-v1", None),
     "connected": ("intersection-multi-agent-v2", None),
@@ -203,10 +197,8 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
     highway_env = pytest.importorskip("highway_env")
     gym.register_envs(highway_env)
     id, config = CASES[case]
-    keywords: Any = {} if config is None else {"config": config}
-    both: list[Any] = [
-        gym.make(f"{room}{id}", disable_env_checker=True, **keywords) for room in ("", "replica/")
-    ]
+    keywords: Any = {"disable_env_checker": True} | ({} if config is None else {"config": config})
+    both: list[Any] = [gym.make(f"{room}{id}", **keywords) for room in ("", "replica/")]
     ours = both[1]
     compared = 0
     for seed in range(15):
@@ -238,10 +230,8 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
 def test_available_actions_of_tuples_are_tuples(id: str) -> None:
     """``MultiAgentAction.get_available_actions``: the product of what each car could do now, in its order."""
     config = tuples({**META, "target_speeds": [0, 5, 10]}, SEEN, controlled_vehicles=2)
-    envs: list[Any] = [
-        gym.make(gym.spec(f"{room}{id}"), disable_env_checker=True, config=config)
-        for room in ("replica/", "")
-    ]
+    specs = [gym.spec(f"{room}{id}") for room in ("replica/", "")]
+    envs: list[Any] = [gym.make(spec, disable_env_checker=True, config=config) for spec in specs]
     for seed in range(3):
         for env in envs:
             env.reset(seed=seed)

@@ -110,9 +110,8 @@ def test_arrow_keys_drive_as_in_highway_env(action: dict[str, Any], key: int, ex
 
 
 def test_manual_control_needs_actions_that_keys_have() -> None:
-    env = DrivingEnv(
-        "highway", {"manual_control": True, "action": {"type": "DiscreteAction"}}, render_mode="human"
-    )
+    config = {"manual_control": True, "action": {"type": "DiscreteAction"}}
+    env = DrivingEnv("highway", config, render_mode="human")
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="'manual_control' needs"):
         env.step(0)

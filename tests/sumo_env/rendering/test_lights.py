@@ -46,8 +46,6 @@ def test_a_scene_has_what_sumo_says_and_watching_changes_nothing(lights: Path) -
         assert watched.scene.signals == {name: of.getRedYellowGreenState(name) for name in of.getIDList()}
         shown.add(watched.scene.signals["A1"])
     assert len(shown) > 2
-    for env in (plain, watched):
-        env.close()
 
 
 REPLAY = """
@@ -95,7 +93,6 @@ def test_each_way_on_has_its_colour_at_the_stop_line(lights: Path, paint: Any) -
             spot = view.place(*road.lane(lane).position(road.lane(lane).length - 0.4, lateral))
             colour = picture.getpixel(tuple(np.rint(spot).astype(int).tolist()))
             assert name == light and colour == paint.lights[LETTERS[letters[place]]]
-    env.close()
 
 
 def test_a_line_divides_two_directions_where_they_meet_and_nowhere_else(lights: Path) -> None:
@@ -114,8 +111,5 @@ def test_opposite_lanes_are_divided_by_one_dashed_line() -> None:
     for task, lines in divided.items():
         road = TASKS[task].road({**TASKS[task].defaults})
         dashes = np.array([dash.mean(axis=0) for dash in markings(road).dashes])
-        straight = {(round(float(x), 1), "x") for x in dashes[:, 0] if np.isclose(dashes[:, 0], x).sum() > 10}
-        straight |= {
-            (round(float(y), 1), "y") for y in dashes[:, 1] if np.isclose(dashes[:, 1], y).sum() > 10
-        }
-        assert len(straight) == lines
+        straight = [{round(float(x), 1) for x in axis if np.isclose(axis, x).sum() > 10} for axis in dashes.T]
+        assert sum(map(len, straight)) == lines

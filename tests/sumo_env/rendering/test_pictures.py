@@ -32,13 +32,8 @@ from sumo_env.simulator import EgoStep
 from tests.sumo_env.rollout import drive
 
 GROUND, ASPHALT, WHITE, _, EGO, FURTHER, OTHER, CRASHED, OBSTACLE, _, IN_EVENT = FILM
-VIEW = {
-    **COMMON,
-    "screen_width": 400,
-    "screen_height": 200,
-    "scaling": 10.0,
-    "centering_position": [0.25, 0.5],
-}
+EGO_AT = {"centering_position": [0.25, 0.5]}  # of the picture
+VIEW = {**COMMON, **EGO_AT, "screen_width": 400, "screen_height": 200, "scaling": 10.0}
 
 
 def scene(*vehicles: tuple[float, float, float], crashed: tuple[int, ...] = ()) -> Scene:
@@ -49,9 +44,7 @@ def scene(*vehicles: tuple[float, float, float], crashed: tuple[int, ...] = ()) 
     return Scene(ids, x, y, np.full(len(vehicles), 20.0), heading, has_crashed, 0.0)
 
 
-def pixel(
-    picture: np.ndarray, x: float, y: float, ego: tuple[float, float] = (100.0, 4.0)
-) -> tuple[int, ...]:
+def pixel(picture: np.ndarray, x: float, y: float, ego=(100.0, 4.0)) -> tuple[int, ...]:
     """Colour at the world position (x, y) [m] of a `VIEW` around the ego."""
     column, row = 100 + 10.0 * (x - ego[0]), 100 + 10.0 * (y - ego[1])
     return tuple(picture[round(row), round(column)].tolist())
@@ -118,9 +111,8 @@ def test_learning_cars_and_obstacles_have_a_colour_and_size_of_their_own() -> No
 def test_who_would_be_hit_first_is_marked_with_the_time_of_this_moment(gap: float, text: str | None) -> None:
     """Whatever the policy step has met; what is less than 1.5 s never reads as 1.5 s."""
     near = replace(scene((100, 4, 0), (105 + gap, 4, 0), (140, 4, 0)), speed=np.array([20.0, 5.0, 5.0]))
-    said = notes(
-        near, cast(Any, SimpleNamespace(events=())), EgoStep(("a", "b", 0), None, 0.1, 9.0), "", 40.0
-    )
+    scenario, step = cast(Any, SimpleNamespace(events=())), EgoStep(("a", "b", 0), None, 0.1, 9.0)
+    said = notes(near, scenario, step, "", 40.0)
     assert said.marks == (() if text is None else (Mark(NEAR_MISS, "v1", text),))
     assert said.lines[1:] == (() if text is None else ((NEAR_MISS, f"near miss: {text}"),))
 
@@ -151,13 +143,11 @@ def test_the_action_is_named(action: Any, monkeypatch: pytest.MonkeyPatch) -> No
     env = ReplicaEnv("highway", {"vehicles_count": 1}, render_mode="rgb_array")
     env.reset(seed=0)
     said: list[str] = []
-    monkeypatch.setattr(
-        rendering, "draw", lambda *arguments: said.append(arguments[3].lines[0][1].split()[-1])
-    )
+    monkeypatch.setattr(rendering, "draw", lambda *arguments: said.append(arguments[3].lines[0][1]))
     env.render()
     env.step(action)
     env.render()
-    assert said == ["m/s", "FASTER"]
+    assert [line.split()[-1] for line in said] == ["m/s", "FASTER"]
 
 
 @pytest.mark.parametrize("make", [DrivingEnv, partial(ReplicaEnv, scenarios="seeded")])
@@ -179,7 +169,6 @@ def test_notes_say_what_info_says(make: Any, monkeypatch: pytest.MonkeyPatch) ->
                 other = info["crash"]["other"]
                 assert other in drawn[-1].lines[-1][1] and Mark(CRASH, other, other) in drawn[-1].marks
     assert {"", NEAR_MISS, CRASH} <= found
-    env.close()
 
 
 @pytest.mark.parametrize("id", sumo_env.IDS)
@@ -229,16 +218,14 @@ def test_a_film_stops_at_the_contact_and_the_next_episode_goes_on(make: Any) -> 
     """The step goes on in the simulation, to its end, where cars have passed through each other."""
     env = make("u-turn", {"risk": 1.0, "simulation_frequency": 10}, render_mode="rgb_array")
     shown: list[Scene] = []
-    env.set_record_video_wrapper(
-        SimpleNamespace(recording=True, _capture_frame=lambda: shown.append(env.pictured))
-    )
+    film = SimpleNamespace(recording=True, _capture_frame=lambda: shown.append(env.pictured))
+    env.set_record_video_wrapper(film)
     *_, (*_, info) = drive(env, 1, seed=0)
     assert info["crashed"] and not any(each.crashed[0] for each in shown)
     assert env.pictured.crashed[0] and not env.scene.time % 1.0
     assert info["crash"]["time"] <= env.pictured.time < info["crash"]["time"] + 0.101 < env.scene.time
     env.reset(seed=1)
     assert env.pictured is env.scene
-    env.close()
 
 
 # -- words beside cars -------------------------------------------------------------------------------------------------

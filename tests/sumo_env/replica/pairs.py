@@ -67,12 +67,8 @@ def side_by_side(
 
 def compare(case: Case) -> str:
     """What differs first in an episode, driven by the ego's policy; empty if it is the same."""
-    config = {
-        **TASKS[case.task].levels[case.level],
-        "risk": case.risk,
-        "variant": case.variant,
-        "risk_law": case.law,
-    }
+    config = {"risk": case.risk, "variant": case.variant, "risk_law": case.law}
+    config |= TASKS[case.task].levels[case.level]
     stock, replica = (make_env(backend, case.task, config) for backend in ("highway-env", "replica"))
     policy = make_policy(case.ego, stock)
     policy.reset(case.seed)
@@ -87,10 +83,8 @@ def difference_of_scenes(theirs: Any, ours: Any) -> str:
     """Which vehicles there are, where and how fast."""
     if theirs.ids != ours.ids or not np.array_equal(theirs.crashed, ours.crashed) or theirs.time != ours.time:
         return "vehicles or wrecks"
-    gaps = {
-        name: abs(getattr(theirs, name) - getattr(ours, name)).max()
-        for name in ("x", "y", "speed", "heading")
-    }
+    names = "x", "y", "speed", "heading"
+    gaps = {name: abs(getattr(theirs, name) - getattr(ours, name)).max() for name in names}
     return "" if max(gaps.values()) <= POSES else f"{gaps}"
 
 
@@ -99,9 +93,8 @@ def first_difference(theirs: Any, ours: Any) -> str:
     if not has_same_rows(theirs[0], ours[0]):
         return f"observation: {theirs[0]} and {ours[0]}"
     a, b = (dict(leaves(list(result[1:]))) for result in (theirs, ours))
-    wrong = [
-        where for where in a.keys() | b.keys() if a.get(where) != pytest.approx(b.get(where), abs=VALUES)
-    ]
+    every = a.keys() | b.keys()
+    wrong = [where for where in every if a.get(where) != pytest.approx(b.get(where), abs=VALUES)]
     return ", ".join(f"{where}: {a.get(where)} and {b.get(where)}" for where in wrong)
 
 
@@ -130,11 +123,7 @@ def different(stock: Any, replica: Any, seeds: Iterable[int], *how: Any) -> list
 
 
 def episode(
-    stock: Any,
-    replica: Any,
-    seed: int,
-    act: Callable[[Any, Any], Any] | None = None,
-    slow: float = SLOW_EQUAL,
+    stock: Any, replica: Any, seed: int, act: Callable[..., Any] | None = None, slow: float = SLOW_EQUAL
 ) -> str:
     """What differed under random actions; every third episode continues the stream of the one before it.
 
@@ -143,25 +132,20 @@ def episode(
     reset = {} if seed % 3 == 2 else {"seed": seed}
     rng, equal = np.random.default_rng(seed), EQUAL
     draw = act or (lambda env, rng: int(rng.integers(env.action_space.n)))
-    for step, (theirs, ours) in enumerate(
-        side_by_side(stock, replica, lambda _: draw(stock.unwrapped, rng), **reset)
-    ):
+    results = side_by_side(stock, replica, lambda _: draw(stock.unwrapped, rng), **reset)
+    for step, (theirs, ours) in enumerate(results):
         if min(abs(vehicle.speed) for vehicle in stock.unwrapped.road.vehicles) < SLOW:
             equal = slow
         states = [env.unwrapped.np_random.bit_generator.state for env in (stock, replica)]
-        egos = [
-            (*env.unwrapped.vehicle.position, env.unwrapped.vehicle.speed, env.unwrapped.vehicle.heading)
-            for env in (stock, replica)
-        ]
-        for what, is_same in (
-            (
-                "observation",
-                theirs[0].dtype == ours[0].dtype and ours[0] == pytest.approx(theirs[0], abs=equal),
-            ),
-            ("reward or end", ours[1:-1] == pytest.approx(theirs[1:-1], abs=equal)),
-            ("ego", egos[1] == pytest.approx(egos[0], abs=equal)),
-            ("random stream", states[0] == states[1]),
-        ):
-            if not is_same:
-                return f"step {step}: {what}"
+        cars = [env.unwrapped.vehicle for env in (stock, replica)]
+        there, here = ((*car.position, car.speed, car.heading) for car in cars)
+        same = {
+            "type of observation": theirs[0].dtype == ours[0].dtype,
+            "observation": ours[0] == pytest.approx(theirs[0], abs=equal),
+            "reward or end": ours[1:-1] == pytest.approx(theirs[1:-1], abs=equal),
+            "ego": here == pytest.approx(there, abs=equal),
+            "random stream": states[0] == states[1],
+        }
+        if not all(same.values()):
+            return f"step {step}: {', '.join(what for what, is_same in same.items() if not is_same)}"
     return ""

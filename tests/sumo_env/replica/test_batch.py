@@ -84,9 +84,8 @@ def test_autoreset_and_threads(mode: str, task: str, threads: int) -> None:
     drive_both(envs, 12, seed=1)
     assert_equal(*(env.reset(options={"config": {"risk": 0.0, "duration": 3}}) for env in envs))
     drive_both(envs, 12, seed=2)
-    assert_equal(
-        *(env.reset(seed=2, options={"config": {"risk": 1.0}, "risk_rates": {"cut_in": 0.9}}) for env in envs)
-    )
+    risky = {"config": {"risk": 1.0}, "risk_rates": {"cut_in": 0.9}}
+    assert_equal(*(env.reset(seed=2, options=risky) for env in envs))
     assert drive_both(envs, 12, seed=3) > ENVS
 
 

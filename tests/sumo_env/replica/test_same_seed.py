@@ -111,11 +111,10 @@ def test_a_driven_episode_is_a_scenario_that_can_be_driven_again(version: int, a
 
 
 def test_seeded_scenarios_are_those_of_sumo_env() -> None:
-    env: Any = gym.make(
-        "replica/u-turn-v0", scenarios="seeded", config={"risk": 1.0, "vehicles_count": 9}
-    ).unwrapped
+    config = {"risk": 1.0, "vehicles_count": 9}
+    env: Any = gym.make("replica/u-turn-v0", scenarios="seeded", config=config).unwrapped
     env.reset(seed=1)
-    sumo: Any = gym.make("sumo/u-turn-v0", config={"risk": 1.0, "vehicles_count": 9}).unwrapped
+    sumo: Any = gym.make("sumo/u-turn-v0", config=config).unwrapped
     sumo.reset(seed=1)
     assert env.scenario.vehicles == sumo.scenario.vehicles
     assert env.scenario.events == sumo.scenario.events

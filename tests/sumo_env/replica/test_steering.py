@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any
 
 import gymnasium as gym
@@ -25,7 +26,6 @@ TABLE = {"type": "Kinematics"}
 STEERING: dict[str, Any] = {"type": "ContinuousAction"}
 STEPS = {"type": "DiscreteAction"}
 SHORTER = {"highway": {"duration": 7}}  # highway-env needs half a second for each of its steps
-QUICK = {"simulation_frequency": 15, "policy_frequency": 5, "duration": 6}
 WAYS: list[tuple[str, dict[str, Any]]] = [
     ("intersection", {**STEERING, "lateral": False, "acceleration_range": [-6.0, 3.0]}),
     ("u-turn", {**STEERING, "longitudinal": False, "steering_range": [-0.2, 0.1]}),
@@ -84,6 +84,12 @@ def along_the_road(env: Any, rng: np.random.Generator) -> np.ndarray:
     return np.array([pedals, angle / (math.pi / 4)], np.float32)
 
 
+def quick(task: str) -> dict[str, int]:
+    """Frequencies, and the duration where the task has one."""
+    config = {"simulation_frequency": 15, "policy_frequency": 5}
+    return config if task == "two-way" else {**config, "duration": 6}
+
+
 def steered(task: str, config: dict[str, Any]) -> tuple[Any, Any]:
     return pair(task, {"observation": TABLE, **config})
 
@@ -96,8 +102,7 @@ def steered(task: str, config: dict[str, Any]) -> tuple[Any, Any]:
 def test_a_steered_episode_is_that_of_highway_env(task: str) -> None:
     few, config = FEW[task], {"action": STEERING}
     assert different(*steered(task, {**config, **SHORTER.get(task, {})}), range(few), wild) == []
-    quick = {key: value for key, value in QUICK.items() if key != "duration" or task != "two-way"}
-    assert different(*steered(task, {**config, **quick}), range(few), along_the_road) == []
+    assert different(*steered(task, {**config, **quick(task)}), range(few), along_the_road) == []
 
 
 @pytest.mark.slow
@@ -116,19 +121,14 @@ def test_later_versions_are_those_of_highway_env(id: str) -> None:
     assert different(theirs, ours, (1, 2), wild) == []
 
 
-MANY: list[tuple[str, int, Any]] = [
-    (task, 0, act) for task in OF_HIGHWAY_ENV for act in (wild, along_the_road)
-]
+MANY: list[tuple[str, int, Any]] = [*product(OF_HIGHWAY_ENV, [0], [wild, along_the_road])]
 MANY += [(sumo_env.task_of(id), sumo_env.version_of(id), wild) for id in sumo_env.LATER_IDS]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("task", "version", "act"), MANY)
 def test_many_steered_episodes_are_the_same_in_99_percent(task: str, version: int, act: Any) -> None:
-    quick = (
-        {} if act is wild else {key: QUICK[key] for key in QUICK if key != "duration" or task != "two-way"}
-    )
-    config = {"action": STEERING, **SHORTER.get(task, {}), **quick}
+    config = {"action": STEERING, **SHORTER.get(task, {}), **({} if act is wild else quick(task))}
     envs = pair(task, {}, version) if version else steered(task, config)
     found = different(*envs, range(1000, 1000 + EACH), act, SLOW_EQUAL if version else EQUAL)
     print(f"{task}-v{version}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")

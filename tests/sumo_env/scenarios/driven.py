@@ -1,4 +1,8 @@
-"""Scenarios in SUMO's own files on which outlines touch where SUMO sees no collision, drawn by a number each."""
+"""Random scenarios in SUMO's own files.
+
+KINDS: on which outlines touch where SUMO sees no collision. `drawn`: vehicles of 1 to 120 m, ways that end anywhere,
+and what changes or ends them.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +18,14 @@ TYPES = """
     <vType id="lorry" vClass="truck" probability="1"/>
     <vType id="moped" vClass="moped" latAlignment="arbitrary" probability="2"/>
 """
-FLOW = '<flow id="{id}" begin="0" end="200" probability="{often:.2f}" type="mix" departLane="{lane}" {way}/>'
+LANES = "best", "random", "free"
 
 
 def _routes(folder: Path, ways: list[str], rng: Random, ego: str) -> Path:
     """Mixed traffic on these ways, among which the ego departs."""
     flows = [
-        FLOW.format(
-            id=f"f{number}",
-            often=rng.uniform(0.15, 0.5),
-            lane=rng.choice(["best", "random", "free"]),
-            way=way,
-        )
+        f'<flow id="f{number}" type="mix" begin="0" end="200" probability="{rng.uniform(0.15, 0.5):.2f}" '
+        f'departLane="{rng.choice(LANES)}" {way}/>'
         for number, way in enumerate(ways)
     ]
     start = f'<trip id="ego" type="keen" depart="{rng.randint(30, 80)}" departLane="best" {ego}/>'
@@ -39,22 +39,12 @@ def _between(start: str, end: str) -> str:
 
 def sublanes(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
     """Streets with two or three lanes, on which vehicles drive beside the middle of their lanes."""
-    net = grid(
-        folder,
-        "--grid.number=3",
-        "--grid.length=120",
-        f"-L={rng.randint(2, 3)}",
-        "--no-turnarounds",
-        "--tls.guess",
-    )
-    ends = [
-        _between(*pair) for pair in (("A0A1", "C2C1"), ("C2C1", "A0A1"), ("B0B1", "B1A1"), ("A1B1", "B1B2"))
-    ]
-    return (
-        net,
-        _routes(folder, ends, rng, ends[0]),
-        ["--lateral-resolution", f"{rng.choice([0.4, 0.8, 3.2])}"],
-    )
+    size = "--grid.number=3", "--grid.length=120", f"-L={rng.randint(2, 3)}"
+    net = grid(folder, *size, "--no-turnarounds", "--tls.guess")
+    pairs = ("A0A1", "C2C1"), ("C2C1", "A0A1"), ("B0B1", "B1A1"), ("A1B1", "B1B2")
+    ways = [_between(*pair) for pair in pairs]
+    routes = _routes(folder, ways, rng, ways[0])
+    return net, routes, ["--lateral-resolution", f"{rng.choice([0.4, 0.8, 3.2])}"]
 
 
 def bus_lanes(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
@@ -92,3 +82,56 @@ def junctions(folder: Path, rng: Random) -> tuple[Path, Path, list[str]]:
 
 # Roads over each other: contacts/test_meeting.py.
 KINDS = (sublanes, bus_lanes, junctions)
+
+
+# class, and length [m] where it is not the class's own
+CLASSES = [
+    ("passenger", ""),
+    ("passenger", "1"),
+    ("passenger", "30"),
+    ("passenger", "120"),
+    ("motorcycle", ""),
+]
+CLASSES += [("delivery", ""), ("truck", ""), ("bus", ""), ("coach", ""), ("trailer", "")]
+ARRIVALS = ["", "", *(f'arrivalPos="{place}"' for place in ("0", "1", "40", "-20", "center"))]
+ARRIVALS += ['arrivalEdge="1"', 'arrivalEdge="2" arrivalPos="30"']
+REROUTER = "<rerouter id='r' edges='{{edge}}'><interval begin='0' end='9999'><{}/></interval></rerouter>"
+# what stands beside the road, on one edge
+BESIDE = [
+    "",
+    REROUTER.format("closingReroute id='{other}'"),
+    REROUTER.format("destProbReroute id='{other}'"),
+    REROUTER.format("destProbReroute id='terminateRoute'"),
+    "<calibrator id='c' edge='{edge}' pos='5'><flow begin='0' end='999' vehsPerHour='30' speed='9'/></calibrator>",
+    "<vaporizer id='{edge}' begin='0' end='9999'/>",
+]
+
+
+def drawn(folder: Path, rng: Random) -> tuple[Path, Path, Path]:
+    """A network, its routes, and what stands beside them; the ego is the vehicle "ego", of the type "own"."""
+    length, lanes = rng.choice([60, 90, 140]), rng.choice([1, 2])
+    options = ["--grid.number=3", f"--grid.length={length}", f"-L={lanes}", "--no-turnarounds"]
+    net = grid(folder, *options, *(["--tls.guess"] if rng.random() < 0.5 else []))
+    nodes = [f"{column}{row}" for column in "ABC" for row in "012"]
+    edges = [a + b for a in nodes for b in nodes if _next(a, b)]
+
+    def trip(name: str, kind: str, depart: float, further: str = "") -> str:
+        start, end = rng.sample(edges, 2)
+        return f'<trip id="{name}" type="{kind}" depart="{depart}" from="{start}" to="{end}" {further}/>'
+
+    types = ""
+    for name, chosen in [("own", rng.choice(CLASSES)), *((f"k{n}", kind) for n, kind in enumerate(CLASSES))]:
+        size = f'length="{chosen[1]}"' if chosen[1] else ""
+        types += f'<vType id="{name}" vClass="{chosen[0]}" {size}/>'
+    count = rng.choice([5, 25, 60])
+    trips = [trip(f"t{n}", f"k{rng.randrange(len(CLASSES))}", 2.0 * n) for n in range(count)]
+    trips.insert(5, trip("ego", "own", 9.0, rng.choice(ARRIVALS)))
+    beside = rng.choice(BESIDE)
+    edge, other = rng.sample(edges, 2)
+    additional = folder / "beside.add.xml"
+    additional.write_text(f"<additional>{beside.format(edge=edge, other=other)}</additional>")
+    return net, route_file(folder, types + "".join(trips)), additional
+
+
+def _next(one: str, other: str) -> bool:
+    return abs(ord(one[0]) - ord(other[0])) + abs(int(one[1]) - int(other[1])) == 1

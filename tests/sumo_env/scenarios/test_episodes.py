@@ -17,7 +17,7 @@ from sumo_env.env import DrivingEnv
 from sumo_env.scenarios import NetworkTask, SumoDrivingEnv
 from sumo_env.scene import ON_ITS_WAY, Scene
 from sumo_env.sumo.process import SumoProcess
-from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, floating_car_data, needs_sumo
+from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, floating_car_data, needs_sumo, route_file
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios.files import written
 from tests.sumo_env.scenarios.test_oracle import fronts
@@ -139,10 +139,7 @@ def test_a_trip_without_a_way_is_refused_when_the_environment_is_made(tmp_path: 
 
 
 def test_begin_is_the_first_departure_where_nothing_departs_for_a_minute(town: Path, tmp_path: Path) -> None:
-    late = tmp_path / "late.rou.xml"
-    late.write_text(
-        '<routes><flow id="f" begin="25200" end="25300" period="2" from="A0A1" to="C1C2"/></routes>'
-    )
+    late = route_file(tmp_path, '<flow id="f" begin="25200" end="25300" period="2" from="A0A1" to="C1C2"/>')
     net = town.with_name("grid.net.xml")
     env = SumoDrivingEnv(net, late, ego_route=WAY, config={"warm_up": 10})
     with pytest.warns(UserWarning, match="departs at 25200 s"):
@@ -154,10 +151,9 @@ def test_begin_is_the_first_departure_where_nothing_departs_for_a_minute(town: P
 
 def test_what_sumo_leaves_out_of_unsorted_files_is_named(town: Path, tmp_path: Path) -> None:
     """It says so itself in a warning, and warnings are off."""
-    file, way = tmp_path / "unsorted.rou.xml", 'from="A0A1" to="C1C2"'
-    rows = ("late", 20), ("early", 10), ("later", 30)
+    way, rows = 'from="A0A1" to="C1C2"', (("late", 20), ("early", 10), ("later", 30))
     trips = "".join(f'<trip id="{name}" depart="{time}" {way}/>' for name, time in rows)
-    file.write_text(f'<routes>{trips}<flow id="flow" begin="0" end="90" period="5" {way}/></routes>')
+    file = route_file(tmp_path, f'{trips}<flow id="flow" begin="0" end="90" period="5" {way}/>')
     net, all_of_it = town.with_name("grid.net.xml"), {"warm_up": 40}
     with pytest.warns(UserWarning, match=r"leaves out 2 of the files \(early, flow\).*sort_routes"):
         env = SumoDrivingEnv(net, file, ego_route=WAY, config=all_of_it)
@@ -255,13 +251,11 @@ def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None
     place = env.scene.place
     expected = [min(reach, 200.0) for reach in (place.free, place.free_left, place.free_right)]
     assert ego[:3].tolist() == pytest.approx(expected)
-    assert ego[3] == info["traffic_light"] and ego[4] == pytest.approx(
-        min(info["traffic_light_distance"], 200.0)
-    )
+    light, distance = info["traffic_light"], min(info["traffic_light_distance"], 200.0)
+    assert (ego[3], ego[4]) == (light, pytest.approx(distance))
     assert place.left != place.right  # gaps to the lane that is not there are 0
     assert (ego[6:8] == 0.0).all() != place.left and (ego[8:10] == 0.0).all() != place.right
     assert not others.any()
-    env.close()
 
 
 # -- SUMO of an environment --------------------------------------------------------------------------------

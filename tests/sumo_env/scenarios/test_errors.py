@@ -167,18 +167,12 @@ def odd_values(value: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("task", ["network", *(pytest.param(task, marks=pytest.mark.long) for task in TASKS)])
-def test_every_number_of_a_configuration_is_refused_or_gives_finite_numbers(
-    task: str, tmp_path: Path
-) -> None:
+def test_every_number_of_a_configuration_is_refused_or_gives_finite_numbers(task: str, tmp_path) -> None:
     net = grid(tmp_path, "--grid.number=2", "--grid.length=100", "-L=2")
     flow = '<flow id="f" begin="0" end="60" period="3" from="A0A1" to="B1B0"/>'
-    own: dict[str, Any] = {
-        "network": net,
-        "routes": route_file(tmp_path, flow),
-        "ego_trips": [("A0A1", "B1B0")],
-    }
+    own: dict[str, Any] = {"routes": route_file(tmp_path, flow), "ego_trips": [("A0A1", "B1B0")]}
     taken = 0
-    with closing(SumoDrivingEnv(**own) if task == "network" else DrivingEnv(task)) as env:
+    with closing(SumoDrivingEnv(net, **own) if task == "network" else DrivingEnv(task)) as env:
         usual = {key: value for key, value in env.config.items() if odd_values(value)}
         usual["reward_speed_range"] = [0, 1]
         weights = [key for key in usual if key.endswith("_reward")]  # all at once

@@ -13,7 +13,7 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scenarios.file_checks import check_files
-from tests.sumo_env.plans import needs_sumo
+from tests.sumo_env.plans import needs_sumo, route_file
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios.files import written
 
@@ -64,11 +64,7 @@ ENDS = {  # what ends the process of SUMO 1.28: a file, its ending, a word of th
         "lane 0",
     ),
     "a network as routes": ("<net/>", ".rou.xml", "this is a network"),
-    "a network within": (
-        '<additional><net><edge id="e"/></net></additional>',
-        ".add.xml",
-        "this is a network",
-    ),
+    "a network within": ('<a><net><edge id="e"/></net></a>', ".add.xml", "this is a network"),
     "include of nothing": ("<routes><include/></routes>", ".rou.xml", "include"),
     "include of itself": ('<a><include href="foreign.add.xml"/></a>', ".add.xml", "includes"),
     "no file of speeds": ('<a><variableSpeedSign id="v" file="none.xml"/></a>', ".add.xml", "none.xml"),
@@ -90,10 +86,8 @@ def test_what_sumo_takes_is_taken(tmp_path: Path) -> None:
         f'<trip id="inf" depart="triggered" departSpeed="max"/>{"<a>" * 99}{"</a>" * 99}</routes>'
     )
     assert check_files({"route-files": str(file)}).ids >= {"nan", "f", "inf"}
-    net = tmp_path / "a.net.xml"
-    net.write_text(
-        '<net><edge id=":a_0"><lane index="0"/><lane index="0"/></edge><edge id="b"><lane index="1"/></edge></net>'
-    )
+    net, twice = tmp_path / "a.net.xml", '<edge id=":a_0"><lane index="0"/><lane index="0"/></edge>'
+    net.write_text(f'<net>{twice}<edge id="b"><lane index="1"/></edge></net>')
     check_files({"net-file": str(net)})
 
 
@@ -122,10 +116,8 @@ def test_sumo_reads_no_schema_of_the_network(town: Path, tmp_path: Path) -> None
     with socket.create_server(("127.0.0.1", 0)) as server, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         where = f"http://127.0.0.1:{server.getsockname()[1]}/a.xsd"
-        routes = tmp_path / "r.rou.xml"
-        routes.write_text(
-            f'<routes xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:noNamespaceSchemaLocation="{where}"/>'
-        )
+        routes, xsi = tmp_path / "r.rou.xml", "http://www.w3.org/2001/XMLSchema-instance"
+        routes.write_text(f'<routes xmlns:xsi="{xsi}" xsi:noNamespaceSchemaLocation="{where}"/>')
         config = town / "schema.sumocfg"
         text = (town / "t.sumocfg").read_text().replace("t.rou.xml", str(routes))
         config.write_text(text.replace("<time>", '<time><xml-validation value="auto"/>'))
@@ -138,17 +130,12 @@ def test_sumo_reads_no_schema_of_the_network(town: Path, tmp_path: Path) -> None
 
 
 @needs_sumo
-def test_an_ego_of_an_included_file_is_known_with_the_place_where_it_arrives(
-    town: Path, tmp_path: Path
-) -> None:
-    more = tmp_path / "more.rou.xml"
-    more.write_text(
-        '<routes><vehicle id="me" depart="1" arrivalPos="30"><route edges="A0A1 A1B1"/></vehicle></routes>'
-    )
-    (tmp_path / "all.rou.xml").write_text('<routes><include href="more.rou.xml"/></routes>')
+def test_an_ego_of_an_included_file_is_known_with_the_place_where_it_arrives(town: Path, tmp_path) -> None:
+    me = '<vehicle id="me" depart="1" arrivalPos="30"><route edges="A0A1 A1B1"/></vehicle>'
+    more = route_file(tmp_path, me).name
+    (tmp_path / "all.rou.xml").write_text(f'<routes><include href="{more}"/></routes>')
     env = SumoDrivingEnv(town / "grid.net.xml", tmp_path / "all.rou.xml", ego_vehicle="me")
     env.reset(seed=0)
     env.hand_over()
     *_, (*_, last) = list(drive(env, 1))
     assert last["ending"] == "arrived" and last["rewards"]["progress_reward"] < 0.2
-    env.close()

@@ -59,9 +59,7 @@ def test_cars_of_the_files_come_when_sumo_lets_them(road: tuple[Path, Path]) -> 
     assert all(found[3].values()) and env.cars["car_0"].scene.place.lane[0].startswith("ab")
 
 
-def test_a_further_car_writes_the_episode_of_all_and_imagines_what_is_to_come(
-    road: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_further_car_writes_the_episode_of_all_and_imagines_what_is_to_come(road, tmp_path) -> None:
     """As the first one does, in a task and among vehicles of SUMO's files."""
     fleet = sumo_env.parallel_env(road[0], {"risk": 1.0}, routes=road[1], vehicle_type="cav", max_cars=2)
     two = sumo_env.parallel_env("sumo/highway-v0", {"controlled_vehicles": 2})
@@ -93,21 +91,15 @@ def test_cars_of_a_type_take_the_next_agent(road: tuple[Path, Path]) -> None:
     ends: dict[str, str] = {}
     while env.agents:
         _, _, terminated, _, infos = env.step(dict.fromkeys(env.agents, 2))  # FASTER
-        ends |= {
-            agent: "arrived" if infos[agent]["arrived"] else "crashed" for agent in infos if terminated[agent]
-        }
+        ends |= {agent: info["ending"] for agent, info in infos.items() if terminated[agent]}
     assert set(ends) == set(env.possible_agents) and "arrived" in ends.values()
     assert list(env.ids.values()) == ["early", "late", "g.0", "g.1"]
 
 
-def test_a_car_that_arrives_before_its_agent_has_acted_is_paid_and_the_others_drive_on(
-    tmp_path: Path,
-) -> None:
+def test_a_car_that_arrives_before_its_agent_has_acted_is_paid_and_the_others_drive_on(tmp_path) -> None:
     net = build(tmp_path, ("a 0 0, b 500 0, c 520 0", "ab a b 1 25, bc b c 1 25"))
-    cars = (
-        '<vType id="cav"/><trip id="long" type="cav" depart="0" from="ab" to="bc"/>'
-        '<trip id="short" type="cav" depart="1.2" from="bc" to="bc" departSpeed="max"/>'
-    )
+    cars = '<vType id="cav"/><trip id="long" type="cav" depart="0" from="ab" to="bc"/>'
+    cars += '<trip id="short" type="cav" depart="1.2" from="bc" to="bc" departSpeed="max"/>'
     env = sumo_env.parallel_env(net, routes=route_file(tmp_path, cars), vehicle_type="cav", max_cars=2)
     env.reset(seed=0)
     while "car_1" not in env.agents:
@@ -119,9 +111,7 @@ def test_a_car_that_arrives_before_its_agent_has_acted_is_paid_and_the_others_dr
     env.close()
 
 
-def test_a_crashed_car_stays_an_obstacle_after_sumo_has_teleported_it(
-    road: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_crashed_car_stays_an_obstacle_after_sumo_has_teleported_it(road, tmp_path) -> None:
     """The second car drives into the first one, which stands; SUMO puts both on the next edge after a while."""
     cars = """
         <vType id="cav" accel="3" decel="5"/>
@@ -130,13 +120,9 @@ def test_a_crashed_car_stays_an_obstacle_after_sumo_has_teleported_it(
         <vehicle id="third" type="cav" depart="0" departPos="5"><route edges="ab bc"/></vehicle>
     """
     action = {"type": "DiscreteMetaAction", "target_speeds": [0.0, 3.0, 15.0]}
-    env = sumo_env.parallel_env(
-        road[0],
-        {"duration": 60, "action": action},
-        routes=route_file(tmp_path, cars),
-        vehicles=["ahead", "behind", "third"],
-        sumo_options=["--time-to-teleport=12"],
-    )
+    routes, names = route_file(tmp_path, cars), ["ahead", "behind", "third"]
+    given: dict[str, Any] = {"routes": routes, "vehicles": names, "sumo_options": ["--time-to-teleport=12"]}
+    env = sumo_env.parallel_env(road[0], {"duration": 60, "action": action}, **given)
     env.reset(seed=0)
     found, sumo = {"ahead": set[str](), "behind": set[str]()}, env.cars["car_0"].sumo.vehicle
     for step in range(60):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import re
-import subprocess
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -14,8 +13,9 @@ import pytest
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from tests.processes import python
-from tests.sumo_env.plans import SUMO, Rows, build, floating_car_data, grid, needs_sumo
+from tests.sumo_env.plans import Rows, build, grid, needs_sumo
 from tests.sumo_env.rollout import drive
+from tests.sumo_env.scenarios import test_oracle
 from tests.sumo_env.scenarios.test_oracle import differences, driven
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore")]
@@ -30,13 +30,8 @@ TEXT = """<{root}>
 <input><net-file value="{net}"/><route-files value="{routes}"/><additional-files value="{additional}"/></input>
 <time><step-length value="1"/></time>{more}
 </{root}>"""
-USUAL = {
-    "root": "configuration",
-    "net": "n.net.xml",
-    "routes": "r.rou.xml",
-    "additional": "a.add.xml",
-    "more": "",
-}
+FILES = {"net": "n.net.xml", "routes": "r.rou.xml", "additional": "a.add.xml"}
+USUAL = {**FILES, "root": "configuration", "more": ""}
 Change = Callable[[str], str]
 
 
@@ -68,9 +63,7 @@ CONFIGURATIONS: dict[str, Change] = {  # of the usual traffic; some of them ``su
     "as usual": says(),
     "root of SUMO's own saving": says(root="sumoConfiguration"),
     "short attributes": without("net-file value => net-file v"),
-    "text in place of an attribute": without(
-        '<net-file value="n.net.xml"/> => <net-file>n.net.xml</net-file>'
-    ),
+    "text in place of an attribute": without('-file value="n.net.xml"/> => -file>n.net.xml</net-file>'),
     "synonyms": without("net-file => n", "route-files => routes", "additional-files => additional"),
     "no sections": without("<input>", "</input>", "<time>", "</time>"),
     "one section for all": without("</input>\n<time>", "</time> => </input>"),
@@ -145,12 +138,9 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def written(folder: Path, net: Path, text: str, names: dict[str, str], contents: dict[str, str]) -> Path:
     """The configuration of a form, with its files beside it."""
     names = {"c": "c.sumocfg", "n": "n.net.xml", "r": "r.rou.xml", "a": "a.add.xml", **names}
-    parts = {
-        "c": text,
-        "n": net.read_text(),
-        "r": f"<routes>{contents.get('r', ROUTES)}</routes>",
-        "a": f"<additional>{contents.get('a', ADDITIONAL)}</additional>",
-    }
+    routes = f"<routes>{contents.get('r', ROUTES)}</routes>"
+    additional = f"<additional>{contents.get('a', ADDITIONAL)}</additional>"
+    parts = {"c": text, "n": net.read_text(), "r": routes, "a": additional}
     (folder / "more.rou.xml").write_text("<routes/>")
     for part, name in names.items():
         (folder / name).parent.mkdir(exist_ok=True)
@@ -160,13 +150,7 @@ def written(folder: Path, net: Path, text: str, names: dict[str, str], contents:
 
 def plain(config: Path) -> Rows:
     """What ``sumo`` does with a configuration."""
-    out = config.parent / "plain.fcd.xml"
-    command: list[str | Path] = [SUMO, "-c", config, "--seed=7", "--random=false", "--fcd-output", out]
-    command += [f"--end={SECONDS + 1}", "--precision=6"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    rows = floating_car_data(out)
-    return {time: {name: car for name, car in cars.items() if "lane" in car} for time, cars in rows.items()}
+    return test_oracle.plain(f"sumo -c '{config}' --seed=7 --random=false", config.parent, SECONDS)
 
 
 @pytest.fixture(scope="module")
@@ -244,10 +228,8 @@ def test_packed_files(net: Path, usual: Rows, tmp_path: Path) -> None:
 
 def test_a_train_on_rails_alone(tmp_path: Path) -> None:
     """SUMO drives it; an agent may as well."""
-    edges = "".join(
-        f'<edge id="{one}{two}" from="{one}" to="{two}" numLanes="1" speed="20" allow="rail"/>'
-        for one, two in ("ab", "bc")
-    )
+    rails = '<edge id="{0}{1}" from="{0}" to="{1}" numLanes="1" speed="20" allow="rail"/>'
+    edges = rails.format(*"ab") + rails.format(*"bc")
     net = build(tmp_path, ("a 0 0, b 300 0, c 600 50", f"<edges>{edges}</edges>"))
     train = '<vType id="train" vClass="rail"/><trip id="{}" type="train" depart="{}" from="ab" to="bc"/>'
     text = says(net=net.name)("")
@@ -291,15 +273,12 @@ def test_odd_places(net: Path, tmp_path: Path) -> None:
     assert list(temporary.iterdir()) == []
 
 
-def test_arguments_of_any_name(
-    net: Path, usual: Rows, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_arguments_of_any_name(net: Path, usual: Rows, tmp_path, monkeypatch) -> None:
     """As they lie in the working folder, without the endings that SUMO's own files have."""
     written(tmp_path, net, says()(""), {"n": "town", "r": "demand.txt", "a": "more"}, {})
     monkeypatch.chdir(tmp_path)
-    with closing(
-        SumoDrivingEnv("town", "demand.txt", additional="more", ego_vehicle="ego", config=SECOND)
-    ) as env:
+    given = "town", "demand.txt"
+    with closing(SumoDrivingEnv(*given, additional="more", ego_vehicle="ego", config=SECOND)) as env:
         env.reset(seed=7)
         assert differences(driven(env, SECONDS), usual, 1.0) == []
 

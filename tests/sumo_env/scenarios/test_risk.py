@@ -46,14 +46,12 @@ def parameters(env: SumoDrivingEnv, names: tuple[str, ...]) -> dict[str, tuple[f
     """accel, decel, tau, minGap, lcAssertive and lcSpeedGain of vehicles, as SUMO has them."""
     ask = env.sumo.vehicle
     assert [ask.getApparentDecel(name) for name in names] == [ask.getDecel(name) for name in names]
-    changes = "laneChangeModel.lcAssertive", "laneChangeModel.lcSpeedGain"
-    return {
-        name: (
-            *(ask.getAccel(name), ask.getDecel(name), ask.getTau(name), ask.getMinGap(name)),
-            *(float(ask.getParameter(name, key)) for key in changes),
-        )
-        for name in names
-    }
+    found: dict[str, tuple[float, ...]] = {}
+    for name in names:
+        changes = (ask.getParameter(name, f"laneChangeModel.{key}") for key in ("lcAssertive", "lcSpeedGain"))
+        pedals = ask.getAccel(name), ask.getDecel(name), ask.getTau(name), ask.getMinGap(name)
+        found[name] = *pedals, *map(float, changes)
+    return found
 
 
 def factors(env: SumoDrivingEnv) -> dict[str, np.ndarray]:
@@ -113,23 +111,26 @@ def test_bicycles_and_parameters_that_a_model_lacks_are_left_alone(road: tuple[P
         assert (values[1][name][3] == before[3]) == name.startswith("b.")
 
 
-@dataclass(frozen=True)
-class Crawl(EventKind):
-    """Drive at a walk."""
+def crawl(**given: float) -> EventKind:
+    """Drive at a walk: of a class that a worker cannot import, as those of a script."""
 
-    speed: float = 2.0
+    @dataclass(frozen=True)
+    class Crawl(EventKind):
+        speed: float = 2.0
 
-    def command(self, at: Any) -> None:
-        at.vehicle.hold_speed()
-        at.vehicle.drive(self.speed)
+        def command(self, at: Any) -> None:
+            at.vehicle.hold_speed()
+            at.vehicle.drive(self.speed)
 
-    def give_back(self, at: Any) -> None:
-        at.vehicle.free_speed()
+        def give_back(self, at: Any) -> None:
+            at.vehicle.free_speed()
+
+    return Crawl(**given)
 
 
 class Crawling(NetworkTask):
     risk_rates = RiskRates()
-    own_kinds = (Crawl(rate=0.2, duration=3.0),)
+    own_kinds = (crawl(rate=0.2, duration=3.0),)
 
 
 def test_a_kind_of_a_user_s_own_acts_on_the_vehicles_of_files(road: tuple[Path, Path]) -> None:
@@ -160,7 +161,7 @@ def test_what_a_task_of_files_is_never_asked_is_an_error(road: tuple[Path, Path]
 
 def test_a_kind_without_a_rate_is_an_error() -> None:
     class Pressing(Highway):
-        own_kinds = (Crawl(duration=3.0),)
+        own_kinds = (crawl(duration=3.0),)
 
     with pytest.raises(ConfigError, match="rate"):
         DrivingEnv(Pressing()).reset(seed=0)
@@ -169,17 +170,13 @@ def test_a_kind_without_a_rate_is_an_error() -> None:
 def test_nobody_cuts_in_where_a_lorry_is(tmp_path: Path) -> None:
     """Lorries of 16 m crawl nose to tail, and cars pass them in the lane beside."""
     lorry = '<vType id="lorry" vClass="truck" length="16" maxSpeed="0.05"/>'
-    lorries = "".join(
-        f'<vehicle id="l{k}" type="lorry" depart="0" departLane="0" departPos="{20 + 19 * k}" departSpeed="0">'
-        '<route edges="ab bc"/></vehicle>'
-        for k in range(15)
-    )
-    cars = '<vType id="car" lcStrategic="-1" lcSpeedGain="0" lcKeepRight="0"/>' + "".join(
-        f'<vehicle id="c{k}" type="car" depart="{3 * k}" departLane="1" departSpeed="10" arrivalLane="1">'
-        '<route edges="ab bc"/></vehicle>'
-        for k in range(1, 20)
-    )
-    file = route_file(tmp_path, lorry + lorries + cars)
+    kinds = lorry + '<vType id="car" lcStrategic="-1" lcSpeedGain="0" lcKeepRight="0"/>'
+    cars = kinds + '<route id="r" edges="ab bc"/>'
+    stands, passes = 'departPos="{}"', 'departLane="1" departSpeed="10" arrivalLane="1"'
+    car = '<vehicle id="{}" type="{}" route="r" depart="{}" {}/>'
+    cars += "".join(car.format(f"l{k}", "lorry", 0, stands.format(20 + 19 * k)) for k in range(15))
+    cars += "".join(car.format(f"c{k}", "car", 3 * k, passes) for k in range(1, 20))
+    file = route_file(tmp_path, cars)
     net = build(tmp_path, ("a 0 0, b 340 0, c 700 0", "ab a b 2 14, bc b c 2 14"))
     env = SumoDrivingEnv(net, file, ego_vehicle="l14", config={"risk": 1.0, "duration": 60})
     env.reset(seed=0)

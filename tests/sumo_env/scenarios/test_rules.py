@@ -1,14 +1,17 @@
-"""What the ego may do on roads of other people: solid lines, closed lanes, turns, lights, driving on the left."""
+"""What one may do on roads of other people: solid lines, turns, lights, driving on the left, lanes of other classes."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from sumo_env.networks import files
 from sumo_env.scenarios import SumoDrivingEnv
-from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, needs_sumo, route_file, streets
+from sumo_env.simulator import SimulatorError
+from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, needs_sumo, opened, route_file, streets
 from tests.sumo_env.rollout import drive
 
 pytestmark = needs_sumo
@@ -149,11 +152,9 @@ def test_the_ego_sees_to_whom_it_has_to_give_way(tmp_path: Path, light: str) -> 
             gap, speed = env.step(SLOWER)[0][0]
             gaps.append(float(gap))
             where = {name: vehicle.getRoadID(name) for name in vehicle.getIDList() if name != "ego"}
-            coming = [
-                (length - vehicle.getLanePosition(name) if edge == "cb" else 0.0, vehicle.getSpeed(name))
-                for name, edge in where.items()
-                if edge == "cb" or edge.startswith(":")
-            ]
+            far = {name: length - vehicle.getLanePosition(name) for name in where if where[name] == "cb"}
+            far |= {name: 0.0 for name in where if where[name].startswith(":")}
+            coming = [(gap, vehicle.getSpeed(name)) for name, gap in far.items()]
             nearest = min(coming, default=(200.0, 0.0)) if sees else (200.0, 0.0)
             assert (gap, speed) == pytest.approx(nearest)
         assert (len(set(gaps)) > 5 and 0.0 in gaps) == sees
@@ -169,9 +170,8 @@ def test_an_ego_that_overtakes_on_the_lane_of_oncoming_traffic_makes_progress(tm
     roads = ("a 0 0,b 600 0,c 900 0", "ab a b 1 14,ba b a 1 14,bc b c 1 14,cb c b 1 14")
     net = build(tmp_path, roads, "--opposites.guess")
     slow = '<vehicle id="slow" depart="0" departPos="40"><route edges="ab bc"/></vehicle>'
-    file = route_file(
-        tmp_path, f'<vType id="DEFAULT_VEHTYPE"/>{slow}<trip id="ego" depart="3" from="ab" to="bc"/>'
-    )
+    ego = '<trip id="ego" depart="3" from="ab" to="bc"/>'
+    file = route_file(tmp_path, f'<vType id="DEFAULT_VEHTYPE"/>{slow}{ego}')
     env = SumoDrivingEnv(net, file, ego_vehicle="ego", config={"duration": 90, "action": SUMO_DRIVES})
     env.reset(seed=0)
     env.sumo.vehicle.setMaxSpeed("slow", 4.0)
@@ -221,9 +221,6 @@ def test_a_light_that_is_run_is_an_event_that_can_be_priced_and_can_end_an_episo
     env = start(net, policy_frequency=10)
     show(env, "G")
     assert not any(red_lights(env)[0])
-    env = start(net, policy_frequency=10, obey_traffic_lights=True)
-    show(env, "r")
-    assert not any(red_lights(env)[0]) and env.scene.speed[0] < 0.1
 
 
 def test_a_red_light_that_turns_green_as_the_ego_passes_is_not_run(tmp_path: Path) -> None:
@@ -247,4 +244,87 @@ def test_who_stands_until_sumo_takes_it_off_the_last_edge_has_not_arrived(tmp_pa
     env = SumoDrivingEnv(net, [], ["ab"], config, sumo_options=["--time-to-teleport=10"])
     *_, (_, reward, *_, info) = drive(env, SLOWER, seed=0)
     assert (info["ending"], info["arrived"]) == ("removed", False) and reward < 0.01
-    env.close()
+
+
+# -- which lanes are driven ------------------------------------------------------------------------------------------
+
+# A lane that forks inside the junction b; of the two behind it, one ends at c after 17 m.
+FORK = "a 0 0, b 150 0, c 175 0, d 330 0", "ab a b 1 14, bc b c 2 14, cd c d 1 14"
+# Three lanes, of which the right one is closed; the two joints begin in the middle and the left one.
+SHIFTED = ("a 0 0, b 150 0, c 300 0", "ab a b 3 14, bc b c 3 14", "ab 1 bc 0, ab 2 bc 1, ab 2 bc 2")
+# The right lane of the main road is for bicycles, the left one for buses, which also have a short cut of their own.
+LANES = (
+    "a 0 0, b 150 0, c 300 0, d 450 0, n 225 90",
+    """
+        <edge id="ab" from="a" to="b" numLanes="3" speed="14">
+            <lane index="0" allow="bicycle" width="1.5"/> <lane index="1" disallow="bus bicycle"/>
+            <lane index="2" allow="bus taxi"/>
+        </edge>
+        <edge id="bc" from="b" to="c" numLanes="1" speed="14" allow="bus"/>
+        <edge id="bn" from="b" to="n" numLanes="1" speed="14"/> <edge id="nc" from="n" to="c" numLanes="1" speed="14"/>
+        <edge id="cd" from="c" to="d" numLanes="1" speed="14"/>
+    """,
+    "ab 2 bc 0, ab 1 bn 0, ab 2 bn 0",
+)
+TYPES = '<vType id="bus" vClass="bus"/> <vType id="bike" vClass="bicycle"/> <vType id="taxi" vClass="taxi"/>'
+FAR = ["ab", "bn", "nc", "cd"]
+
+
+@pytest.mark.parametrize("lane", [0, 1])
+def test_where_a_lane_forks_the_ego_takes_the_way_that_leads_on(tmp_path: Path, lane: int) -> None:
+    net = build(tmp_path, (*FORK, f"ab 0 bc 0, ab 0 bc 1, bc {lane} cd 0"))
+    env: Any = SumoDrivingEnv(net, [], ["ab", "bc", "cd"], {**QUIET, "policy_frequency": 10})
+    results = [(env.vehicle.target_lane_index, info["arrived"]) for *_, info in drive(env, seed=0)]
+    assert results[-1][1]
+    assert {index for index, _ in results if index[0] == "bc:from"} == {files.lane("bc", 1 - lane)}
+
+
+@pytest.mark.parametrize(("lane", "ends"), [(0, {0, 1}), (1, {2})])
+def test_connections_decide_which_lane_follows(tmp_path: Path, lane: int, ends: set[int]) -> None:
+    """As many joints as lanes, but not one for each."""
+    net = build(tmp_path, SHIFTED)
+    env = SumoDrivingEnv(net, [], ["ab", "bc"], {**QUIET, "policy_frequency": 10, "initial_speed": 14})
+    env.reset(seed=0)
+    while (here := env.vehicle.lane_index[2]) != lane:
+        env.step(0 if here > lane else 2)
+    driven = set()
+    for _ in drive(env, 250 * [1]):
+        driven |= {env.vehicle.lane_index[2]} if env.vehicle.lane_index[0] == "bc:from" else set()
+    assert len(driven) == 1 and driven <= ends  # no lane change that nobody has asked for
+
+
+def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
+    demand = route_file(
+        tmp_path,
+        f"""{TYPES}
+            <vehicle id="b" type="bus" depart="0" departPos="95" departSpeed="8"><route edges="ab bc cd"/></vehicle>
+            <trip id="t" type="bus" from="ab" to="cd" depart="0" departPos="135" departSpeed="8"/>
+            <vehicle id="k" type="bike" depart="0" departPos="30"><route edges="ab"/></vehicle>
+            <vehicle id="x" type="taxi" depart="0" departPos="60" departLane="2"><route edges="ab bn"/></vehicle>
+        """,
+    )
+    env = SumoDrivingEnv(build(tmp_path, LANES), demand, FAR, {**QUIET, "duration": 20})
+    lanes: dict[str, set[Any]] = {}
+    for _ in drive(env, 12 * [4], seed=0):
+        for vehicle in env.road.vehicles:
+            lanes.setdefault(vehicle.id, set()).add(vehicle.lane_index)
+    closed = files.lane("ab/closed", 0)
+    assert lanes.keys() == {"ego", "b", "t", "k", "x"}
+    assert files.lane("ab/closed", 1) in lanes["k"]
+    assert closed in lanes["b"] | lanes["t"] and closed in lanes["x"]
+    assert files.lane("bc/closed") in lanes["b"] and files.lane("bc/closed") in lanes["t"]  # the short cut
+    assert all(index[0].startswith("ab:") for index in lanes["ego"])
+    assert env.get_available_actions() == [1, 3]  # neither the bus lane nor the bicycles'
+    assert env.scene.sizes["b"] == (12.0, 2.5) and env.scene.sizes["k"] == (1.6, 0.65)
+    env.export(tmp_path / "episode")
+    assert opened(tmp_path / "episode" / "episode.sumocfg")
+
+
+def test_an_ego_of_another_class_drives_where_its_class_may(tmp_path: Path) -> None:
+    file = route_file(tmp_path, TYPES)
+    net = build(tmp_path, LANES)
+    env = SumoDrivingEnv(net, file, ["ab", "bc", "cd"], ego_type="bus")
+    env.reset(seed=0)
+    assert env.ego_state.lane == files.lane("ab/closed", 0) and env.scene.sizes["ego"] == (12.0, 2.5)
+    with pytest.raises(SimulatorError, match=r"valid route|no lane for vehicles of class 'bicycle'|'ego'"):
+        SumoDrivingEnv(net, file, ["ab", "bc"], {"wait": 3}, ego_type="bike").reset(seed=0)

@@ -145,19 +145,15 @@ def test_fuel_is_what_sumo_says_on_request(tmp_path: Path) -> None:
 
 def test_a_gap_and_braking_that_is_caused_cost(tmp_path: Path) -> None:
     """A car creeps ahead of the ego, and another one follows the ego, which brakes."""
-    kinds = {"slow": 'maxSpeed="3"', "even": 'speedDev="0" sigma="0"'}
-    ways = '<route id="r" edges="ab bc"/>'
-    ways += "".join(f'<vType id="{k}" lcKeepRight="0" lcSpeedGain="0" {v}/>' for k, v in kinds.items())
-    cars = (("ahead", "slow", 0), ("ego", "even", 25), ("behind", "even", 27))
-    for name, kind, depart in cars:
-        ways += (
-            f'<vehicle id="{name}" type="{kind}" route="r" depart="{depart}" departLane="1" departSpeed="0"/>'
-        )
+    kind = '<vType id="{}" lcKeepRight="0" lcSpeedGain="0" {}/>'
+    car = '<vehicle id="{}" type="{}" route="r" depart="{}" departLane="1" departSpeed="0"/>'
+    ways = kind.format("slow", 'maxSpeed="3"') + kind.format("even", 'speedDev="0" sigma="0"')
+    ways += '<route id="r" edges="ab bc"/>' + car.format("ahead", "slow", 0)
+    ways += car.format("ego", "even", 25) + car.format("behind", "even", 27)
     weights = {"gap_reward": -1, "braking_reward": -0.1, "progress_reward": 0, "policy_frequency": 5}
     action = {"type": "DiscreteMetaAction", "lateral": False, "target_speeds": [3, 12]}
-    env = SumoDrivingEnv(
-        net(tmp_path), route_file(tmp_path, ways), ego_vehicle="ego", config={**weights, "action": action}
-    )
+    files = net(tmp_path), route_file(tmp_path, ways)
+    env = SumoDrivingEnv(*files, ego_vehicle="ego", config={**weights, "action": action})
     env.reset(seed=0)
     speed = env.sumo.vehicle.getSpeed
     gaps = braking = lost = 0.0

@@ -86,7 +86,6 @@ def scenario(seed: int = 0, others: int = 3) -> Scenario:
     """Some vehicles; how they would drive is of no interest here."""
     driver = cast("Driver", None)
     names = ("ego", *(f"v{number}" for number in range(others)))
-    ego, *vehicles = [
-        VehicleSpec(name, COMMAND.target_lane, 0.0, 0.0, 0.0, 0.0, 25.0, 25.0, None, driver) for name in names
-    ]
+    place, speeds = (0.0,) * 4, (25.0, 25.0)
+    ego, *vehicles = [VehicleSpec(one, COMMAND.target_lane, *place, *speeds, None, driver) for one in names]
     return Scenario("highway", seed, 0.5, ego, tuple(vehicles))

@@ -65,10 +65,8 @@ def attribute_by_attribute(env: Any) -> Any:
 
 
 # Every day in risky traffic, before a release in all.
-CASES = [
-    pytest.param(*case, marks=() if case[1:] == (0, 1.0, 2) else pytest.mark.long)
-    for case in itertools.product(TASKS, (0, -1), (0.0, 1.0), range(4))
-]
+EVERY = itertools.product(TASKS, (0, -1), (0.0, 1.0), range(4))
+CASES = [pytest.param(*case, marks=() if case[1:] == (0, 1.0, 2) else pytest.mark.long) for case in EVERY]
 
 
 @pytest.mark.parametrize(("task", "level", "risk", "seed"), CASES)

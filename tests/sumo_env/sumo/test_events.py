@@ -21,7 +21,6 @@ from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks.highway import Highway
 from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent, free_way
 from sumo_env.traffic.scenario import Scenario
-from tests.processes import python
 from tests.sumo_env.situations import draw, placed, with_leader
 
 
@@ -117,17 +116,13 @@ def following() -> Scenario:
     """Two cars, one behind the other, and the ego far behind them."""
     scenario = draw("highway", initial_lane_id=0, duration=12)
     x, lane = scenario.ego.x + 300.0, ("0", "1", 2)
-    pair = (
-        placed(scenario, k, lane, x - 45.0 * k, 20.0, target_speed=20.0 + k, changes_lanes=False)
-        for k in range(2)
-    )
-    return replace(scenario, vehicles=tuple(pair))
+    first = placed(scenario, 0, lane, x, 20.0, target_speed=20.0, changes_lanes=False)
+    second = placed(scenario, 1, lane, x - 45.0, 20.0, target_speed=21.0, changes_lanes=False)
+    return replace(scenario, vehicles=(first, second))
 
 
 @pytest.mark.parametrize(("way", "acts"), [(60.0, True), (10.0, False)])
-def test_a_kind_of_a_user_s_own_commands_pauses_and_gives_back(
-    simulator: SumoSimulator, way: float, acts: bool
-) -> None:
+def test_a_kind_of_a_user_s_own_commands_pauses_and_gives_back(simulator, way: float, acts: bool) -> None:
     scenario, gaps = following(), []
     Tailgating.given_back.clear()
     for events in ((), (RiskEvent(0.5, "v1", Tailgating(), duration=6.0, way=way),)):
@@ -185,45 +180,12 @@ def test_the_other_simulators_say_that_they_have_no_kinds_of_a_user_s_own() -> N
         env.step(1)
 
 
-IN_A_SCRIPT = """
-from dataclasses import replace
-from sumo_env.env import DrivingEnv
-from sumo_env.traffic.risk import EventKind, RiskEvent
-from sumo_env.tasks.highway import Highway
-
-class Stop(EventKind):
-    def command(self, at):
-        at.vehicle.hold_speed()
-        at.vehicle.drive(0.0)
-    def give_back(self, at):
-        at.vehicle.free_speed()
-
-class Stopping(Highway):
-    def events(self, config, vehicles, spawns, seed):
-        return [RiskEvent(1.0, "v0", Stop(), duration=1.0)]
-
-envs = [DrivingEnv(Stopping(), {"vehicles_count": 3}) for _ in range(2)]
-for env in envs:  # the second one in a worker
-    env.reset(seed=0)
-for env in envs:
-    env.step(1)
-    env.step(1)
-    print(env.scene.speed[1])
-"""
-
-
-def test_a_kind_may_be_a_class_of_a_script() -> None:
-    assert python("-c", IN_A_SCRIPT).split() == ["0.0", "0.0"]
-
-
 def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
     """A surge after the crash does not move it."""
     scenario = with_leader(9.0, 5.0)(draw("highway", initial_lane_id=1))
     (ahead,) = scenario.vehicles
-    events = (
-        RiskEvent(2.0, ahead.id, "surge", accel=4.0, duration=2.0),
-        RiskEvent(2.5, ahead.id, "cut-in", direction=1),
-    )
+    surge = RiskEvent(2.0, ahead.id, "surge", accel=4.0, duration=2.0)
+    events = surge, RiskEvent(2.5, ahead.id, "cut-in", direction=1)
     scenes = []
     for chosen in (events, ()):
         simulator.reset(replace(scenario, events=chosen))
@@ -235,9 +197,7 @@ def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
     np.testing.assert_array_equal(scenes[0].y, scenes[1].y)
 
 
-def test_surging_vehicles_look_at_those_near_them_who_are_read_once_in_a_sub_step(
-    simulator: SumoSimulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_surging_vehicles_look_at_those_near_them_who_are_read_once(simulator, monkeypatch) -> None:
     """With four times the vehicles as many looks at each and as many reads, else the time of a step is quadratic.
 
     And the way is free where it is for all.
@@ -285,9 +245,7 @@ class Swerve(EventKind):
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_who_swerves_comes_back_where_sumo_s_own_lane_changes_would_refuse(
-    simulator: SumoSimulator, side: int
-) -> None:
+def test_who_swerves_comes_back_where_sumo_s_own_lane_changes_would_refuse(simulator, side: int) -> None:
     """Six of six, with a follower 8 m behind in the lane that they leave; the lanes are SUMO's again at the end."""
     scenario = draw("highway", initial_lane_id=0, duration=12)
     x = scenario.ego.x + 200.0

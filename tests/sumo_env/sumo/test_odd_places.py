@@ -18,18 +18,11 @@ from tests.processes import ended, python, started
 
 # SUMO takes a comma as the end of a name, and ${HOME} as a variable; PYTHONPATH takes a colon as the end of a name.
 NAME = "one, two: ${HOME} $HOME%2C;"
-# Two environments, the second one in a worker, on the u-turn and on its network as a network of one's own.
+# The second environment is in a worker.
 DRIVE = """
-import sys
 from sumo_env.env import DrivingEnv
-from sumo_env.scenarios import SumoDrivingEnv
-from sumo_env.networks.mapping import network
-from sumo_env.networks.roads import road
-routes = network(road("u-turn")).routes
-envs = []
-for _ in range(2):
-    env = SumoDrivingEnv(*sys.argv[1:], routes, routes["a-b>d"]) if sys.argv[1:] else DrivingEnv("u-turn")
-    envs.append(env)
+envs = [DrivingEnv("u-turn") for _ in range(2)]
+for env in envs:
     env.reset(seed=0)
     print(repr([float(value) for value in env.step(1)[0].ravel()]))
 print(envs[1]._car.episode.simulator.pid is not None)
@@ -41,9 +34,7 @@ def expected() -> list[str]:
     return python("-c", DRIVE).splitlines()
 
 
-def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
-    tmp_path: Path, expected: list[str]
-) -> None:
+def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(tmp_path, expected) -> None:
     """The networks of the five tasks are in the package."""
     folder = tmp_path / NAME
     package = folder / "sumo_env"

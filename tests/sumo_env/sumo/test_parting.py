@@ -36,34 +36,18 @@ def plan(rng: np.random.Generator, length: float) -> tuple[str, ...]:
     count = int(rng.integers(2, 5))
     right, angle, gap = int(rng.integers(1, count)), rng.uniform(0.0, 1.0), 10 ** rng.uniform(-1.5, 0.3)
     x, y, aside = length + FAR * np.cos(angle), -FAR * np.sin(angle), -WIDE * (count - right)
-    corners = [
-        (length - gap, 0.0),
-        (length - gap, -WIDE * count),
-        (length + gap, -WIDE * count),
-        (length + gap, 0.0),
-    ]
-    joint = " ".join(f"{a:.2f},{b:.2f}" for a, b in corners)
+    before, after, bottom = length - gap, length + gap, -WIDE * count
+    joint = f"{before:.2f},0 {before:.2f},{bottom:.2f} {after:.2f},{bottom:.2f} {after:.2f},0"
     node = '<node id="{}" x="{:.2f}" y="{:.2f}"{}/>'
-    nodes = [
-        ("a", 0, 0, ""),
-        ("b", length, 0, f' shape="{joint}"'),
-        ("c", length + FAR, 0, ""),
-        ("k", x, y, ""),
-    ]
-    edge = '<edge id="{}" from="{}" to="{}" numLanes="{}" speed="40" spreadType="right"{}/>'
+    nodes = node.format("a", 0, 0, "") + node.format("b", length, 0, f' shape="{joint}"')
+    nodes += node.format("c", length + FAR, 0, "") + node.format("k", x, y, "")
+    edge = '<edge id="{0}-{1}" from="{0}" to="{1}" numLanes="{2}" speed="40" spreadType="right"{3}/>'
     fork = f' shape="{length:.2f},{aside:.2f} {x:.2f},{y + aside:.2f}"'
-    edges = [
-        ("a-b", "a", "b", count, ""),
-        ("b-c", "b", "c", count - right, ""),
-        ("b-k", "b", "k", right, fork),
-    ]
+    edges = edge.format("a", "b", count, "") + edge.format("b", "c", count - right, "")
+    edges += edge.format("b", "k", right, fork)
     lead_off = [f"a-b {lane} b-k {lane}" for lane in range(right)]
     lead_on = [f"a-b {lane} b-c {lane - right}" for lane in range(right, count)]
-    return (
-        "".join(node.format(*one) for one in nodes),
-        "".join(edge.format(*one) for one in edges),
-        ", ".join([*lead_off, *lead_on]),
-    )
+    return nodes, edges, ", ".join([*lead_off, *lead_on])
 
 
 class Parting(UTurn):
@@ -73,9 +57,8 @@ class Parting(UTurn):
 
     def __init__(self, folder: Path, rng: np.random.Generator) -> None:
         self.length = float(rng.uniform(NEAR + 5.0, 2.0 * NEAR))
-        net = build(
-            folder, plan(rng, self.length), "--offset.disable-normalization=true", "--default.lanewidth=4"
-        )
+        options = "--offset.disable-normalization=true", "--default.lanewidth=4"
+        net = build(folder, plan(rng, self.length), *options)
         lanes: dict[Any, StraightLane] = {}
         for lane in reversed(sumo_lanes_of(read_net(net)).values()):  # SUMO counts lanes from the right
             if not lane.id.startswith(":"):

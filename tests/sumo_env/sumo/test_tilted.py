@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,12 +39,9 @@ def scenes(env: Any, actions: Any = 1) -> Iterator[tuple[Any, Any]]:
 
 def near(scene: Any, reach: float) -> set[str]:
     """Vehicles within reach of a learning car, by plain arithmetic."""
-    places = list(zip(scene.ids, scene.x.tolist(), scene.y.tolist(), strict=True))
-    cars, others = places[: scene.cars], places[scene.cars :]
-    return {
-        name for name, x, y in others for _, a, b in cars
-        if math.sqrt((x - a) ** 2 + (y - b) ** 2) <= reach and not name.startswith("obstacle")
-    }  # fmt: skip
+    places = dict(zip(scene.ids, zip(scene.x.tolist(), scene.y.tolist(), strict=True), strict=True))
+    cars, others = scene.ids[: scene.cars], [id for id in scene.ids[scene.cars :] if id[:8] != "obstacle"]
+    return {name for name in others for car in cars if math.dist(places[name], places[car]) <= reach}
 
 
 def recomputed(env: Any, driven: list[tuple[Any, Any]], events: list[RiskEvent], rate: float) -> list[float]:
@@ -91,9 +89,8 @@ def test_the_weight_is_that_of_the_stored_events(task: str) -> None:
 def test_an_event_between_two_scenes_comes_by_who_was_near_in_the_first_one() -> None:
     """Also where the simulator begins it after the second one, in which another vehicle is near."""
     tilted = Tilted(Tilt(2.0, 10.0, RiskRates(brake=0.1), 1.0, 20.0))
-    events = {
-        (name, time): RiskEvent(time, name, "brake", is_further=True) for name in "ab" for time in (0.95, 1.5)
-    }
+    pairs = itertools.product("ab", (0.95, 1.5))
+    events = {(name, time): RiskEvent(time, name, "brake", is_further=True) for name, time in pairs}
     tilted.plan("ab", events.values())
     for time, places in enumerate(([0.0, 5.0, 50.0], [0.0, 50.0, 5.0])):
         zeros = np.zeros(3)
@@ -149,12 +146,9 @@ def test_copies_replays_and_workers_go_on_alike_and_imagined_events_are_no_more_
 
 
 @needs_sumo
-def test_on_own_scenarios_the_weight_is_that_of_events_that_are_drawn_as_vehicles_come(
-    tmp_path: Path,
-) -> None:
-    flow = (
-        '<flow id="f" begin="0" end="900" probability="0.5" departLane="random"><route edges="ab bc"/></flow>'
-    )
+def test_on_own_scenarios_the_weight_is_that_of_events_that_are_drawn_as_vehicles_come(tmp_path) -> None:
+    often = 'begin="0" end="900" probability="0.5" departLane="random"'
+    flow = f'<flow id="f" {often}><route edges="ab bc"/></flow>'
     cycles = '<vType id="bike" vClass="bicycle"/>' + flow.replace('id="f"', 'id="b" type="bike"')
     road = build(tmp_path, ("a 0 0, b 600 0, c 1200 0", "ab a b 3 25, bc b c 3 25"))
     config = {"risk": 0.2, "warm_up": 20, "duration": 30}
@@ -184,14 +178,8 @@ def test_on_own_scenarios_the_weight_is_that_of_events_that_are_drawn_as_vehicle
 
 def _without_bicycles(scene: Any) -> Any:
     rows = [row for row, name in enumerate(scene.ids) if not name.startswith("b")]
-    twin = copy.copy(scene)
-    for key, value in (
-        ("ids", tuple(scene.ids[row] for row in rows)),
-        ("x", scene.x[rows]),
-        ("y", scene.y[rows]),
-    ):
-        object.__setattr__(twin, key, value)
-    return twin
+    ids = tuple(scene.ids[row] for row in rows)
+    return SimpleNamespace(ids=ids, x=scene.x[rows], y=scene.y[rows], cars=scene.cars, time=scene.time)
 
 
 def test_several_learning_cars_have_one_weight() -> None:

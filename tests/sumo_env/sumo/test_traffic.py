@@ -53,11 +53,8 @@ def test_every_parameter_of_a_driver_arrives_in_sumo(simulator, task, fixed_delt
     the_task = get_task(task)
     for seed in range(2):  # a dose that comes again brings all its drivers
         simulator.reset(draw(task, seed, risk=1.0))
-    chosen = [
-        driver
-        for driver in drivers(task, 1.0)
-        if driver.type.startswith("f" if fixed_delta else "d") and driver.type.endswith("@1")
-    ]
+    letter = "f" if fixed_delta else "d"
+    chosen = [one for one in drivers(task, 1.0) if one.type[0] == letter and one.type.endswith("@1")]
     assert len(chosen) == 64
     sumo, setting = libsumo.vehicletype, the_task.calibration
     for driver in chosen:
@@ -79,10 +76,8 @@ def test_every_parameter_of_a_driver_arrives_in_sumo(simulator, task, fixed_delt
         assert (sumo.getLength(name), sumo.getWidth(name)) == (5.0, 2.0)
         assert (sumo.getSpeedFactor(name), sumo.getSpeedDeviation(name)) == (1.0, 0.0)
         ignored = [sumo.getParameter(name, f"junctionModel.{key}") for key in JUNCTION]
-        assert ignored == [
-            str(int(not driver.gives_way or driver.attention < share))
-            for share in (setting.ignores_approaching, setting.ignores_inside)
-        ]
+        shares = setting.ignores_approaching, setting.ignores_inside
+        assert ignored == [str(int(not driver.gives_way or driver.attention < share)) for share in shares]
         libsumo.vehicle.add(name, libsumo.route.getIDList()[0], name)
         assert lane_change("lcAssertive") == pytest.approx(setting.assertive * driver.assertive, abs=0.006)
         assert lane_change("lcSpeedGain") == pytest.approx(setting.speed_gain * driver.speed_gain, abs=0.006)

@@ -110,9 +110,8 @@ def test_an_episode_that_was_interrupted_is_over_and_the_next_one_is_as_ever(
     """SUMO is closed and begins anew; nobody steps or loads it in the midst of a step."""
     env: DrivingEnv = DrivingEnv("roundabout", {"risk": 1.0})
     if of_files:
-        env = SumoDrivingEnv(
-            files.written(tmp_path / "town", "static"), ego_vehicle="ego", config={"risk": 1.0}
-        )
+        town = files.written(tmp_path / "town", "static")
+        env = SumoDrivingEnv(town, ego_vehicle="ego", config={"risk": 1.0})
     expected = np.array([seen for seen, *_ in drive(env, [1] * 8, seed=5)])
     env.reset(seed=1)
     env.step(1)
@@ -157,11 +156,8 @@ def test_drivers_that_act_rarely_are_commanded_no_lane_change_that_takes_time(tm
     """Neither by a cut-in nor by the agent: SUMO would break down."""
     net = plans.grid(tmp_path, "--grid.number=4", "--grid.length=120", "-L=3", "--no-turnarounds")
     ways = [("A0A1", "D3D2"), ("D0D1", "A3A2"), ("A3B3", "D0C0"), ("C3C2", "B0B1")]
-    trips = [
-        f'<trip id="t{k}" type="t" depart="{k / 2}" from="{a}" to="{b}"/>'
-        for k in range(80)
-        for a, b in [ways[k % 4]]
-    ]
+    trip = '<trip id="t{}" type="t" depart="{}" from="{}" to="{}"/>'
+    trips = [trip.format(k, k / 2, *ways[k % 4]) for k in range(80)]
     trips.insert(40, trips[40].replace('id="t40"', 'id="ego"'))
     routes = plans.route_file(tmp_path, '<vType id="t" actionStepLength="1.0"/>' + "".join(trips))
     done = ended("-W", "ignore", "-c", RARE, net, routes)

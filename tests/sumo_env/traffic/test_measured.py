@@ -35,10 +35,8 @@ def drive(task: str, vehicles: list[VehicleSpec], ego: VehicleSpec, steps: int, 
     with closing(DrivingEnv(task, {"duration": steps}, simulator=simulator)) as env:
         road = definition.road(env.config)
         drawn = Scenario(task, 0, 0.0, ego, tuple(vehicles), net=road.name, road_arguments=road.arguments)
-        env.reset(
-            seed=0,
-            options={"scenario": replace(drawn, calibration=draw(task, drivers="measured").calibration)},
-        )
+        calibration = draw(task, drivers="measured").calibration
+        env.reset(seed=0, options={"scenario": replace(drawn, calibration=calibration)})
         for _ in range(steps):
             if env.step(action)[2]:
                 break
@@ -85,9 +83,8 @@ def test_sumo_drives_these_drivers_in_the_places_of_regular_traffic(task: str) -
         for spec in [spec for spec in env.scenario.vehicles if spec.id in present and not spec.is_obstacle]:
             own, vehicle = spec.driver, env.sumo.vehicle
             read = [vehicle.getTau, vehicle.getAccel, vehicle.getDecel, vehicle.getMinGap]
-            assert [get(spec.id) for get in read] == pytest.approx(
-                [own.tau, own.accel, own.decel, own.min_gap]
-            )
+            given = [own.tau, own.accel, own.decel, own.min_gap]
+            assert [get(spec.id) for get in read] == pytest.approx(given)
             for name, value in own.attributes:
                 assert env.sumo.vehicletype.getParameter(own.type, f"junctionModel.{name}") == value
         assert env.scenario.events == ()
@@ -122,9 +119,10 @@ def takes(driver: Driver, way: Way, stream: Way, seconds: float) -> bool:
     stop = road.lane(lane).length - 2.8
     waiting = make_on_lane(road, "v", lane, stop, 0.0, driver, destination=end, target_speed=9.0)
     first = road.lane(theirs).length - 2.5 - 4.0  # 4 m before the line
+    behind = first - seconds * STREAM
     others = [
-        make_on_lane(road, f"a{k}", theirs, first - k * seconds * STREAM, STREAM, even, destination=goal)
-        for k in range(2)
+        make_on_lane(road, name, theirs, place, STREAM, even, destination=goal)
+        for name, place in (("a0", first), ("a1", behind))
     ]
     scenes = drive(task.name, [waiting, *others], ego, 13, 0)
     places = [(s.x[row], s.y[row]) for s in scenes if "v" in s.ids for row in [s.ids.index("v")]]

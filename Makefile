@@ -10,6 +10,8 @@ STAMP  := $(VENV)/.installed
 TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
+# Compiled modules are kept: processes begin in two thirds of the time.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup sweep results check lint weight test test-fast test-long test-arm pages docs lock dist addresses clean
 

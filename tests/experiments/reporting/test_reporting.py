@@ -160,6 +160,16 @@ def test_tasks_are_on_the_side_that_the_plan_or_their_interval_says() -> None:
     assert away == {"less": ["u-turn"], "more": [], "open": []}
 
 
+@pytest.mark.parametrize(
+    ("stage", "words"), [("", "No stage"), ("a", "is the first of 3"), ("c", "are 3 of 3")]
+)
+def test_the_complete_stages_of_a_plan_are_counted(stage: str, words: str) -> None:
+    shown = {"plan": {"stages": dict.fromkeys("abc")}, "notes": {"stage": stage}}
+    macros: Any = page.templates(False).get_template("macros.j2").make_module(shown)
+    one = {"answered": True, "name": "SUMO", "settings": 2, "beside": [], "signs": [], "missing": []}
+    assert words in macros.answer(one)
+
+
 SETTING = {"backend": "sumo", "task": "u-turn", "level": 1, "level_name": "3"}
 NAN = float("nan")
 

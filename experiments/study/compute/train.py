@@ -35,7 +35,8 @@ def train_cell(
         progress: called now and then with the number of environment steps that are made.
 
     Returns:
-        The agent, its training episodes (one row each), and "learner" of cell.json.
+        The agent, its training episodes (one row each), and "learner" of cell.json: the learner's own record, in which
+        a number that is not finite is null, episodes (their number) and curve (see `learning_curve`).
 
     Raises:
         UserError: the user's file is not named, not there or has changed, or a setting makes no sense.
@@ -52,7 +53,8 @@ def train_cell(
     traffic = EVERY_ARM[str(cell.arm)].traffic
     if traffic.drawn:
         episodes["risk"] = [traffic.dose_of(episode_seed(seed, k)) for k in range(len(episodes))]
-    return trained, episodes, learner_record(trained)
+    curve = learning_curve(trained.episodes)
+    return trained, episodes, {**plain_json(trained.record), "episodes": len(episodes), "curve": curve}
 
 
 def environments(
@@ -72,19 +74,6 @@ def environments(
     if number is None:
         return one()
     return gym.vector.SyncVectorEnv([partial(one, first, number) for first in range(number)])
-
-
-def learner_record(trained: Trained) -> dict[str, Any]:
-    """What cell.json says of the training.
-
-    The learner's own record (`agents.learner.Trained`), in which a number that is not finite is null; episodes (their
-    number) and curve (see `learning_curve`).
-    """
-    return {
-        **plain_json(trained.record),
-        "episodes": len(trained.episodes["step"]),
-        "curve": learning_curve(trained.episodes),
-    }
 
 
 def learning_curve(episodes: Mapping[str, Any]) -> dict[str, list[Any]]:

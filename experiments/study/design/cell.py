@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -75,9 +75,12 @@ class Cell:
 
     @property
     def versions(self) -> dict[str, Any]:
-        """The versions that can change its result."""
-        _, settings = (None, None) if self.kind == "baseline" else learner_of(self.key(), self.source)
-        return versions(self.backend, self.runs_on, getattr(settings, "packages", ()))
+        """The versions that can change its result. Raises UserError where a package is not installed."""
+        settings = None if self.kind == "baseline" else learner_of(self.key(), self.source)[1]
+        simulators = SIMULATORS[self.backend], SIMULATORS[self.runs_on]
+        own = getattr(settings, "packages", ())
+        names = ("sumo-risky-driving", *simulators, "numpy", "torch", *own)
+        return {"schema": RESULT_SCHEMA, **{name: installed(name) for name in names}}
 
     @property
     def tested(self) -> Mapping[str, Any]:
@@ -228,15 +231,3 @@ def installed(package: str) -> str:
         raise UserError(
             f"the package {package} is not installed: run make setup, then use .venv/bin/python"
         ) from None
-
-
-def versions(backend: str, runs_on: str, packages: Iterable[str] = ()) -> dict[str, Any]:
-    """The versions that can change the bits of a result; part of a cell's name.
-
-    runs_on: the simulator of the test. packages: further ones of its learner.
-
-    Raises:
-        UserError: a package that the cell needs is not installed.
-    """
-    names = ("sumo-risky-driving", SIMULATORS[backend], SIMULATORS[runs_on], "numpy", "torch", *packages)
-    return {"schema": RESULT_SCHEMA, **{name: installed(name) for name in names}}

@@ -135,18 +135,19 @@ class Experiment:
             common = self._common(task, level, dynamics)
             agents = list(self._agents(common))
             cells += agents
-            cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
+            cells += [
+                replace(agent, kind="test", test_on=test)
+                for agent in agents
+                for test in self._further_tests(agent, dynamics)
+            ]
             cells += [replace(common, policy=name) for name in rules]
-            if level == 1:
-                others = [
-                    name for name in dict.fromkeys(self.drivers) if name != "sumo" or self.backend == "sumo"
-                ]
-                cells += [
-                    replace(common, policy=name, test_on=tests_of(common, TRAFFICS, MOST.get(name)))
-                    for name in others
-                ]
+            for name in dict.fromkeys(self.drivers) if level == 1 else ():
+                if name != "sumo" or self.backend == "sumo":
+                    test = tests_of(common, TRAFFICS, MOST.get(name))
+                    cells.append(replace(common, policy=name, test_on=test))
             for label, source in policies.items():
-                profile = {**common.profile, "policy_sha256": _digest_of_policy(source, common, make_env)}
+                with closing(make_env(*tested_on(common.key()))) as env:
+                    profile = {**common.profile, "policy_sha256": foreign_policy(source, env)[1]}
                 cells.append(replace(common, policy=label, source=source, profile=profile))
         return cells
 
@@ -217,8 +218,8 @@ class Experiment:
                     source=self.learner if self._own_learner else self._own_network,
                 )
 
-    def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
-        """Further tests of an agent: in further traffics, each in one test alone, and on other simulators."""
+    def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[dict[str, Any]]:
+        """The further tests of an agent: in further traffics, each in one test alone, and on other simulators."""
         most, on_sumo = self.further_episodes, self.backend == "sumo"
         asked = {name: traffic_named(name) for name in (*self.lightest, *self.traffics)}
         if not on_sumo and any(asked[name].is_of_sumo for name in self.traffics):
@@ -233,7 +234,7 @@ class Experiment:
         ):
             if is_asked and (new := [name for name in dict.fromkeys(traffics) if name not in tested]):
                 tested.update(new)
-                yield _tested(agent, new, most)
+                yield tests_of(agent, new, most)
         for other in dict.fromkeys(self.test_on):
             if other != self.backend:
                 config = env_config(other, agent.task, agent.level, self._changes(agent.task))
@@ -242,7 +243,7 @@ class Experiment:
                     "env_config": config,
                     "dynamics": dynamics(other, task_of(agent.task)),
                 }
-                yield _tested(agent, TRAFFICS, TRANSFER_EPISODES.get(other, most), **where)
+                yield tests_of(agent, TRAFFICS, TRANSFER_EPISODES.get(other, most), **where)
 
     def profile(self, task: str) -> dict[str, Any]:
         """Every setting of the learner on a task and the rules of its training, as plain values.
@@ -299,25 +300,10 @@ class Experiment:
         return asked if is_said else with_features(task, self.features) | asked
 
 
-def _digest_of_policy(source: str, cell: Cell, make_env: MakeEnv) -> str:
-    """What a policy of the user's own is, in the environment of a cell (`agents.policies.foreign_policy`).
-
-    Raises:
-        ValueError: it does not fit.
-    """
-    with closing(make_env(*tested_on(cell.key()))) as env:
-        return foreign_policy(source, env)[1]
-
-
 def tests_of(cell: Cell, traffics: Iterable[str], most: int | None = None, **where: Any) -> dict[str, Any]:
     """What a further test of a cell is: in some traffics, with its own number of episodes or so many at most."""
     here = {"backend": cell.backend, "env_config": cell.env_config, **where}
     return {**here, "traffics": list(traffics), "episodes": min(cell.episodes, most or cell.episodes)}
-
-
-def _tested(agent: Cell, traffics: Iterable[str], most: int | None = None, **where: Any) -> Cell:
-    """A further test of an agent."""
-    return replace(agent, kind="test", test_on=tests_of(agent, traffics, most, **where))
 
 
 def assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:

@@ -40,8 +40,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         return None
     with closing(make_env(*tested_on(key))) as env:
         seen, policy = driver(key, None, env, weights)
-        more = {"dose_observed"} & {*key["profile"]}
-        if more or key["policy"] != LEARNER or not isinstance(policy, Greedy):
+        if "dose_observed" in key["profile"] or key["policy"] != LEARNER or not isinstance(policy, Greedy):
             return None
         space: Any = seen.observation_space
         steps = seen.steps if isinstance(seen, TimeObserved) else 0
@@ -49,9 +48,8 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
             policy = Timed(policy.network, steps)
         actions: Any = env.action_space
     config = level_config(key["task"], key["level_name"])
-    if (seen_as := key["env_config"]["observation"]) != env_config("sumo", key["task"], key["level"])[
-        "observation"
-    ]:
+    usual = env_config("sumo", key["task"], key["level"])["observation"]
+    if (seen_as := key["env_config"]["observation"]) != usual:
         config["observation"] = seen_as
     about: dict[str, Any] = {
         "cell": name,

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from agents import pretrained
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
 from experiments.backends import make_env
-from experiments.study.compute.batches import Batch, driven
+from experiments.study.compute.batches import Batch, driven, named
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.progress import LENGTH, STEP
 from experiments.study.design.arms import stream_seed
@@ -29,7 +30,6 @@ from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import sheet
 from experiments.study.design.traffic import AT_A_DOSE
-from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.lanes import WIDTH
 from sumo_env.networks.roads import LaneIndex, Road
@@ -162,12 +162,6 @@ class Engine:
     one_in: int = 1
     egos: tuple[str, ...] = ()
 
-    def folder(self, task: str) -> str:
-        """Where its parts of a task are stored: by all that decides what they hold, its dynamics included."""
-        settings = [dict(self.config), dict(self.options), self.one_in, self.egos]
-        digest = sha256_bytes(canonical_json([*settings, dynamics(self.backend, task)]).encode())[:8]
-        return f"{self.name.replace(' ', '-')}/{task}-{digest}"
-
 
 @dataclass(frozen=True)
 class Part(Batch):
@@ -180,16 +174,13 @@ class Part(Batch):
     scenarios: range
     columns = COLUMNS
 
-    @property
+    @cached_property
     def name(self) -> str:
-        """Path of its table within the folder of all parts."""
-        first, last = self.scenarios[0], self.scenarios[-1]
-        return f"{self.engine.folder(self.task)}/{self.level}-{self.traffic}-{first:03d}-{last:03d}.parquet"
-
-    @property
-    def path(self) -> Path:
-        """In the folder of all parts."""
-        return self.directory / self.name
+        """By engine, task, level, traffic and first scenario."""
+        one, numbers = self.engine, self.scenarios
+        label = f"{one.name.replace(' ', '-')}-{self.task}-{self.level}-{self.traffic}-{numbers[0]:03d}"
+        does = dynamics(one.backend, self.task)
+        return named(label, {**asdict(one), "dynamics": does, "scenarios": len(numbers)})
 
     @property
     def size(self) -> float:

@@ -107,7 +107,7 @@ def test_rows_that_are_not_those_asked_for_are_named_and_driven_again(tmp_path: 
             file.write(rows)
         file.path.write_bytes(packed(pa.Table.from_pandas(rows, preserve_index=False), file.name))
         assert not file.done()
-        assert re.search(rf"{re.escape(file.name)} is damaged .*driven again", capsys.readouterr().out)
+        assert re.search(rf"{re.escape(file.path.name)} is damaged .*driven again", capsys.readouterr().out)
 
 
 def test_episodes_of_another_task_are_not_taken(tmp_path: Path) -> None:

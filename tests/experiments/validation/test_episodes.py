@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,7 @@ def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
 def test_what_is_there_is_not_driven_again(tmp_path: Path, here: None) -> None:
     planned = plan([Engine("sumo", "sumo", egos=("idle",))], {"u-turn": [1]}, ["regular"], range(4), 2)
     run(planned[:1], tmp_path, 1)
-    written = (tmp_path / planned[0].name).stat().st_mtime_ns
+    file = replace(planned[0], directory=tmp_path).path
+    written = file.stat().st_mtime_ns
     assert run(planned, tmp_path, 2)["scenario"].tolist() == [0, 1, 2, 3]
-    assert (tmp_path / planned[0].name).stat().st_mtime_ns == written
+    assert file.stat().st_mtime_ns == written

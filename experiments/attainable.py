@@ -53,7 +53,7 @@ from experiments.study.design.levels import StudyTasks, choose_levels, choose_ta
 from experiments.study.design.sheet import GRID, VARIANTS, task_of
 from experiments.study.design.traffic import TRAFFICS
 from experiments.support.arguments import argument, command
-from experiments.support.errors import UserError, check_known, writing
+from experiments.support.errors import UserError, check_known, check_least, writing
 from experiments.support.files import plain_json, write_file, write_json
 from experiments.support.provenance import provenance
 
@@ -127,9 +127,7 @@ def batches(options: Options) -> tuple[list[Batch], list[str]]:
         UserError: something does not exist or makes no sense, before anything is driven.
     """
     check_known("executor", [options.executor], EXECUTORS)
-    for name, least in (("scenarios", 2), ("workers", 1), ("width", 1)):
-        if (value := getattr(options, name)) is not None and value < least:
-            raise UserError(f"--{name} is at least {least}, not {value}")
+    check_least(options, scenarios=2, workers=1, width=1)
     if options.policies and options.backend == "replica":
         raise UserError("--policies drive on SUMO: add --backend sumo")
     tasks = choose_tasks(options.tasks or (*GRID, *VARIANTS), variants=True)

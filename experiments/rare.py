@@ -44,7 +44,7 @@ from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import TaskName, level_names, tasks_known
 from experiments.study.design.sheet import task_of
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, check_known, writing
+from experiments.support.errors import UserError, check_known, check_least, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
 
@@ -114,15 +114,11 @@ def question(options: Options, policy: str) -> Question:
     level = options.level or levels[0]
     check_known("level", [level], levels)
     check_known("executor", [options.executor], EXECUTORS)
-    for name, is_right, least in (
-        ("dose", 0.001 <= options.dose <= 1.0, "between 0.001 and 1"),
-        ("reach", options.reach > 0.0, "above 0"),
-        ("episodes", options.episodes > 0, "above 0"),
-        ("seed", options.seed >= 0, "at least 0"),
-        ("workers", options.workers is None or options.workers > 0, "above 0"),
-    ):
-        if not is_right:
-            raise UserError(f"--{name} is {least}, not {getattr(options, name)}")
+    check_least(options, episodes=1, seed=0, workers=1)
+    if not 0.001 <= options.dose <= 1.0:
+        raise UserError(f"--dose is between 0.001 and 1, not {options.dose}")
+    if not options.reach > 0.0:
+        raise UserError(f"--reach is above 0, not {options.reach}")
     entrant = entrant_of(policy, options.task, level)
     own = options.dose, options.reach, options.seed, dynamics("sumo", task_of(options.task))
     found = Question(entrant, options.task, level, *own)

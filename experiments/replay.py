@@ -46,7 +46,7 @@ from experiments.study.replaying.rerun import Case, changed_versions, difference
 from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import Store, find_cell
 from experiments.support.arguments import Flag, command
-from experiments.support.errors import UserError, check_known
+from experiments.support.errors import UserError, check_known, check_least
 from experiments.support.films import Film, Pictures, check_film, save_gif, side_by_side
 
 
@@ -104,8 +104,7 @@ def parse_case(text: str, code: str | None = None) -> Case:
 
 def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
     """Do what the options ask for; returns the exit status."""
-    if options.horizon < 1:
-        raise UserError(f"--horizon is at least 1, not {options.horizon}")
+    check_least(options, horizon=1)
     if options.avoid and options.sumo:
         raise UserError("--avoid writes a film of its own: leave out --sumo")
     if options.avoid and options.policy:

@@ -42,7 +42,7 @@ from experiments.study.design.presets import asked_preset, cells_of, of_preset
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
 from experiments.support.arguments import Flag, argument, command
-from experiments.support.errors import UserError, check_known, writing
+from experiments.support.errors import UserError, check_known, check_least, writing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +79,7 @@ def sweep(
     arguments: the command line, to say how to resume. make_env: of `backends`, or another that is importable in other
     processes. check: of the simulators of these backends and tasks, before anything is trained.
     """
-    if options.workers is not None and options.workers < 1:
-        raise UserError(f"--workers must be at least 1, not {options.workers}")
+    check_least(options, workers=1)
     check_known("executor", [options.executor], EXECUTORS)
     cells = cells_of(options, known_dynamics if options.dry_run else dynamics, make_env)
     mine = shard(cells, options.shard)

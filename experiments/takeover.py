@@ -53,7 +53,7 @@ from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.takeover import films, most_telling
 from experiments.study.results.parquet import write_part
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, check_known, in_words, writing
+from experiments.support.errors import UserError, check_known, check_least, in_words, writing
 from experiments.support.files import plain_json, write_file, write_json
 from experiments.support.films import save_film, side_by_side
 from experiments.support.provenance import provenance
@@ -110,13 +110,12 @@ def check(options: Options) -> None:
     check_known("traffic", options.traffics, ALL)
     check_known("driver of --others", options.others, OTHERS)
     check_known("executor", [options.executor], EXECUTORS)
+    check_least(options, scenarios=1, workers=1)
     for name, is_right, least in (
-        ("scenarios", options.scenarios > 0, "above 0"),
         ("first-scenario", options.first_scenario in NUMBERED, f"from 0 to {NUMBERED[-1]}"),
         ("traffics", len({*options.traffics}) == len(options.traffics) > 0, "one or more, each once"),
         ("within", len({*options.within}) == len(options.within) > 0, "one or more bounds, each once"),
         ("within", min(options.within, default=0.0) > 0.0, "seconds above 0"),
-        ("workers", options.workers is None or options.workers > 0, "above 0"),
     ):
         if not is_right:
             raise UserError(f"--{name} is {least}, not {getattr(options, name.replace('-', '_'))}")

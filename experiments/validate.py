@@ -32,7 +32,7 @@ from experiments.study.design.levels import StudyTasks, choose_levels, choose_ta
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import STORED, versions
 from experiments.support.arguments import command
-from experiments.support.errors import UserError, writing
+from experiments.support.errors import UserError, check_least, writing
 from experiments.support.files import read_json, write_file, write_json
 from experiments.support.provenance import provenance
 from experiments.validation import checks, episodes
@@ -148,8 +148,7 @@ def page(record: Mapping[str, Any]) -> str:
 
 def main(options: Options) -> int:
     """Do what the options ask for; returns the exit status."""
-    if min(options.scenarios, options.workers, options.one_in) < 1:
-        raise UserError("--scenarios, --workers and --one-in must be at least 1")
+    check_least(options, scenarios=1, workers=1, one_in=1)
     with writing(options.out):
         record = validate(options, sys.argv[1:])
     for title in (COUNTS, OUTSIDE):

@@ -40,6 +40,13 @@ def check_known(kind: str, words: Iterable[object], known: Iterable[object]) -> 
             raise unknown(kind, word, names)
 
 
+def check_least(options: object, **least: float) -> None:
+    """Raise UserError for the first of some options that is below its least value; None is always right."""
+    for name, value in least.items():
+        if (given := getattr(options, name)) is not None and given < value:
+            raise UserError(f"--{name.replace('_', '-')} is at least {value}, not {given}")
+
+
 def in_a_line(error: BaseException) -> str:
     """What went wrong: the message of a UserError, else the error with the place in the code where it was raised."""
     if isinstance(error, UserError):

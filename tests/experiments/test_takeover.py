@@ -62,7 +62,7 @@ def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_pa
         ({"level": "4"}, "level"),
         ({"traffics": ("risk",)}, "risky"),
         ({"others": ("careful",)}, "others"),
-        ({"scenarios": 0}, "--scenarios is above 0"),
+        ({"scenarios": 0}, "--scenarios is at least 1"),
         ({"first_scenario": -1}, "--first-scenario is from 0"),
         ({"within": ()}, "--within is"),
         ({"workers": 0}, "--workers is"),

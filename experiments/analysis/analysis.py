@@ -91,16 +91,17 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         raise UserError(f"no setting is complete yet ({lacking}): run the sweep again to go on")
     outcomes = {**OUTCOMES, **(own or {})}
     episodes = with_outcomes(known, {**OWN, **SURROGATES, **outcomes})
-    agents = own_agents(episodes)
+    agents = episodes[episodes["kind"] == "agent"]
     passed = gates(known.cells, known.gate_episodes)
     verdicts = competence(known.cells, known.gate_episodes)
-    stage, counted = plans.reached(plan, own_agents(known.table))
+    stage, counted = plans.reached(plan, known.table[known.table["kind"] == "agent"])
 
     arms = arms_of(agents, outcomes)
     asked = contrasts(arms, {BOTH: [*product(outcomes, TERMS)]})
     both = adjusted(asked, counted)
     trends = slopes(arms, plan)
-    everybody = arms_of(pd.concat([agents, careful(episodes)]))
+    careful = episodes[(episodes["policy"] == "careful") & (episodes["kind"] == "baseline")]
+    everybody = arms_of(pd.concat([agents, careful.assign(seed=0, arm="careful")]))
     beside = contrasts(everybody, dict.fromkeys(FURTHER, SHOWN))
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
     mean = [
@@ -139,17 +140,6 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         competence=verdicts,
         competent=by_task(episodes[Plan(settings=competent(verdicts)).covers(episodes)], counted, COLUMNS),
     )
-
-
-def own_agents(rows: pd.DataFrame) -> pd.DataFrame:
-    """Those of trained agents, among cells or among test episodes: on the simulator of their training."""
-    return rows[rows["kind"] == "agent"]
-
-
-def careful(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The test episodes of the careful driver, who follows fixed rules, as those of the one agent of an arm."""
-    rule = episodes[(episodes["policy"] == "careful") & (episodes["kind"] == "baseline")]
-    return rule.assign(seed=0, arm="careful")
 
 
 def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:

@@ -59,7 +59,7 @@ def _of_other_groups(cells: pd.DataFrame, results: Results) -> dict[str, str]:
     if main.empty:
         return dict.fromkeys(groups, ALONE)
     agents = list(main.loc[main["kind"] == "agent", "cell"])
-    reference, found = _latest(agents or list(main["cell"]), groups, results.expected), {}
+    reference, found = _latest(agents or list(main["cell"]), groups, results.order), {}
     for name, own in groups.items():
         if name in main.index:
             shared = {*own, *reference}
@@ -85,12 +85,12 @@ def _tested_twice(cells: pd.DataFrame, results: Results) -> dict[str, dict[str, 
     groups = {name: group(results.cells[name]) for name in cells["cell"]}
     for own in groups.values():  # in which other traffics a cell tests decides nothing
         own.pop("test_on traffics", None)
-    order, found = _order(results.expected), dict[str, dict[str, str]]()
+    order, found = results.order, dict[str, dict[str, str]]()
     for (_, _, traffic), alike in cells.explode("traffics").groupby(
         ["who", "tested_on", "traffics"], sort=False
     ):
         own = alike[alike["kind"] != "test"]
-        best = _latest(list((alike if own.empty else own)["cell"]), groups, results.expected)
+        best = _latest(list((alike if own.empty else own)["cell"]), groups, order)
         for _, names in alike.groupby("seed", dropna=False, sort=False)["cell"]:
             *others, last = sorted(names, key=lambda name: (groups[name] == best, order.get(name, -1), name))
             reason = f"{last} counts"
@@ -104,19 +104,13 @@ def _tested_twice(cells: pd.DataFrame, results: Results) -> dict[str, dict[str, 
     return found
 
 
-def _order(expected: Sequence[str]) -> dict[str, int]:
-    """The places of cells in what sweeps have asked for; the last sweep stands last."""
-    return {name: number for number, name in enumerate(expected)}
-
-
 def _latest(
-    names: Sequence[str], groups: Mapping[str, dict[str, Any]], expected: Sequence[str]
+    names: Sequence[str], groups: Mapping[str, dict[str, Any]], order: Mapping[str, int]
 ) -> dict[str, Any]:
     """The group of these cells that the last sweep asked for, else the one with most of them."""
     members: dict[str, list[str]] = {}
     for name in names:
         members.setdefault(canonical_json(groups[name]), []).append(name)
-    order = _order(expected)
     best = max(members.items(), key=lambda one: (max(order.get(n, -1) for n in one[1]), len(one[1]), one[0]))
     return groups[best[1][0]]
 

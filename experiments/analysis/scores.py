@@ -56,7 +56,7 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
         score=scores,
         reward_per_step=episodes["return"] / episodes["length"],
         crash_free_time=episodes["crash_time"].astype(float).where(crashed > 0).fillna(lasted),
-        crashes_per_100_km=crashes_per_100_km(episodes, ["cell", "traffic"]),
+        crashes_per_100_km=1e5 * per_metre(episodes, "crashed", ["cell", "traffic"]),
     )
 
 
@@ -75,11 +75,6 @@ def undrivable(results: Results) -> list[str]:
         if is_usual(key["backend"], key["task"], key["level"], key["env_config"])
     }
     return [setting for setting in attainable.undrivable(attainable.stored()) if setting in there]
-
-
-def crashes_per_100_km(episodes: pd.DataFrame, by: Sequence[str]) -> pd.Series:
-    """`per_metre` of the crashes, in its usual unit."""
-    return per_metre(episodes, "crashed", by) * 1e5
 
 
 def per_metre(episodes: pd.DataFrame, count: str, by: Sequence[str]) -> pd.Series:

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from experiments.analysis.by_task import COLUMNS, OWN
-from experiments.analysis.scores import crashes_per_100_km
+from experiments.analysis.scores import per_metre
 from experiments.reporting import figures
 from experiments.reporting.tables import NONE, chosen, points, titled
 from experiments.study.compute.evaluate import limits
@@ -39,7 +39,7 @@ def rows(episodes: pd.DataFrame) -> Iterator[dict[str, Any]]:
         interval; None where a task has no crossing to enter.
     """
     way = episodes.groupby(SETTING, sort=False)["distance"].transform("mean")
-    ratio, factor = crashes_per_100_km(episodes, SETTING), 1e5 / way.where(way > 0)
+    ratio, factor = 1e5 * per_metre(episodes, "crashed", SETTING), 1e5 / way.where(way > 0)
     own = {name: kind.of for name, kind in OWN.items()}
     scored = episodes.assign(**own, crashes_per_100_km=ratio, factor=factor.fillna(0.0))
     for (task, traffic), both in scored.groupby(["task", "traffic"], sort=False):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -52,7 +52,7 @@ class Question:
     @property
     def key(self) -> dict[str, Any]:
         """All that decides the result, as plain values."""
-        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "driver"}
+        values = {name: value for name, value in vars(self).items() if name != "driver"}
         return {"policy": self.driver.name, "digest": self.driver.digest, **values}
 
     @property

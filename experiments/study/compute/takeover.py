@@ -11,7 +11,7 @@ import copy
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -253,8 +253,7 @@ class Question:
     @property
     def key(self) -> dict[str, Any]:
         """All that decides the result, as plain values."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return values | {"drivers": {name: [one.name, one.digest] for name, one in self.drivers.items()}}
+        return vars(self) | {"drivers": {name: [one.name, one.digest] for name, one in self.drivers.items()}}
 
     @property
     def leaders(self) -> list[str]:

@@ -61,10 +61,9 @@ class Cell:
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {
             name: dict(value) if isinstance(value, Mapping) else value
-            for name, value in values.items()
+            for name, value in vars(self).items()
             if name != "source" and (value or name != "test_on")
         }
 

@@ -41,9 +41,8 @@ class TrainingRules:
 
     def entries(self) -> dict[str, Any]:
         """What a cell's profile has of them: those that are set."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
         defaults = {field.name: field.default for field in fields(self)}
-        return {name: value for name, value in values.items() if value != defaults[name]}
+        return {name: value for name, value in vars(self).items() if value != defaults[name]}
 
     @property
     def duration(self) -> dict[str, int]:

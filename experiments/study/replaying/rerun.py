@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
+import pandas as pd
 
 from agents import pretrained
 from agents.rules.constant import Constant
@@ -98,13 +98,11 @@ def ending(row: Mapping[str, Any]) -> str:
 
 def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
     """Columns in which a replayed episode is not the stored one, in words; empty if it is reproduced."""
-    found = []
-    for name, old in stored.items():
-        new = row[name]
-        missing = [value is None or (isinstance(value, float) and math.isnan(value)) for value in (old, new)]
-        if missing != [True, True] and old != new:
-            found.append(f"{name} {new} instead of {old}")
-    return found
+    return [
+        f"{name} {row[name]} instead of {old}"
+        for name, old in stored.items()
+        if old != row[name] and not (pd.isna(old) and pd.isna(row[name]))
+    ]
 
 
 def changed_versions(record: Mapping[str, Any]) -> list[str]:

@@ -78,6 +78,11 @@ class Results:
         """Which cells belong together, see `table_of`."""
         return table_of(self.cells)
 
+    @cached_property
+    def order(self) -> dict[str, int]:
+        """The places of cells in what sweeps have asked for; the last sweep stands last."""
+        return {name: number for number, name in enumerate(self.expected)}
+
 
 def load(directory: Path) -> Results:
     """Read and check all finished cells of a directory; damaged ones are named in `Results.damaged`.

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.analysis.analysis import own_agents
 from experiments.analysis.effects import adjusted, contrasts
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import Arm, Arms, Setting, arms_of, with_outcomes
@@ -68,4 +67,5 @@ def effects(arms: Mapping[Setting, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
 
 
 def arms_in(results: Results) -> dict[Setting, dict[str, Arm]]:
-    return arms_of(own_agents(with_outcomes(results)))
+    episodes = with_outcomes(results)
+    return arms_of(episodes[episodes["kind"] == "agent"])

@@ -130,10 +130,7 @@ def questions(options: Options) -> list[list[Question]]:
         raise UserError(
             f"the first of A and the first of B are a pair: name as many of both, not {len(a)} and {len(b)}"
         )
-    changes = {
-        **observation_of([*a, *b]),
-        **assignments(options.config, "--config", "policy_frequency=2"),
-    }
+    changes = observation_of([*a, *b]) | assignments(options.config, "--config", "policy_frequency=2")
     with in_words():
         config = env_config("sumo", options.task, level_names(options.task).index(level) + 1, changes)
     what = options.task, level, config

@@ -28,9 +28,8 @@ def _hard(episodes: pd.DataFrame) -> pd.Series:
 
 def _entered(episodes: pd.DataFrame) -> pd.Series:
     """Whether the ego gets into the roundabout or intersection; NaN in tasks without one."""
-    way = (
-        episodes["task"].map({task: sheet(task).crossing for task in episodes["task"].unique()}).astype(float)
-    )
+    ways = {task: sheet(task).crossing for task in episodes["task"].unique()}
+    way = episodes["task"].map(ways).astype(float)
     return (episodes["distance"] >= way).astype(float).where(way.notna())
 
 

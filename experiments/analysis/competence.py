@@ -26,18 +26,8 @@ MOST = COMPETENT["crashed"]  # share of the episodes
 TRAFFIC = "regular"
 FORESEEING = ("planner", "clairvoyant")  # are no rules: their marks are in the score
 WORDS = {"return": "below a rule", "score": f"score below {LEAST:g}", "crashed": f"crashes above {MOST:.0%}"}
-COLUMNS = [
-    *SETTING,
-    "agents",
-    "return",
-    "score",
-    "crashed",
-    "rule",
-    "rule_return",
-    "unfair",
-    "competent",
-    "failed",
-]
+COLUMNS = [*SETTING, "agents", "return", "score", "crashed", "rule", "rule_return"]
+COLUMNS += ["unfair", "competent", "failed"]
 
 
 def competence(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.DataFrame:

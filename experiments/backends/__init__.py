@@ -50,21 +50,15 @@ def make_env(
 ) -> gym.Env[Any, Any]:
     """A driving task on one of the simulators.
 
-    Args:
-        backend: "sumo", "highway-env" or "replica".
-        task: of `sumo_env.tasks.TASKS`.
-        config: highway-env's configuration keys and `risk`, laid over the task's defaults.
-        render_mode: None or "rgb_array".
+    config: highway-env's configuration keys and `risk`, laid over the task's defaults.
 
     Raises:
         UserError: unknown backend or task, or the backend lacks the task. ImportError: it is not installed.
     """
     require(backend, task)
-    settings, fixed = dict(config or {}), {}
+    settings, fixed, id = dict(config or {}), dict[str, Any](), IDS[backend].format(task)
     if backend == "replica":  # what is fixed for an environment's life is in the study's configuration
         fixed = {name: settings.pop(name, default) for name, default in REPLICA.items()}
-    # by its specification: an id would warn that highway-env has a later version, and the variant says which
-    id: Any = IDS[backend].format(task)
-    if backend == "replica":
-        id = gym.spec(id.partition(":")[2])
-    return gym.make(id, config=settings, render_mode=render_mode, **fixed)
+        # by its specification: an id would warn that highway-env has a later version, and the variant says which
+        return gym.make(gym.spec(id.partition(":")[2]), config=settings, render_mode=render_mode, **fixed)
+    return gym.make(id, config=settings, render_mode=render_mode)

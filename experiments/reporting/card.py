@@ -19,9 +19,8 @@ from experiments.reporting.tables import NONE, chosen, points, titled
 from experiments.study.compute.evaluate import limits
 
 SETTING = ["task", "level", "traffic"]
-SHOWN = {
-    name: one for name, one in COLUMNS.items() if name != "score"
-}  # whose marks are of the study's scenarios
+# Without the score, whose marks are of the study's scenarios.
+SHOWN = {name: one for name, one in COLUMNS.items() if name != "score"}
 ALL = "all"  # levels of a task, each alike
 TRAINED = "phdH<>"  # marks of trained policies that are of no arm
 AXES = ("mean_speed", "crashed")  # of the figure

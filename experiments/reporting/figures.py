@@ -70,15 +70,8 @@ styled = matplotlib.style.context(["default", STYLE])
 LARGER: Any = {"font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "xtick.labelsize": 10}
 LARGER |= {"ytick.labelsize": 10, "legend.fontsize": 10}
 larger = matplotlib.style.context(["default", STYLE | LARGER])
-MARKS = {
-    "idle": "o",
-    "slower": "v",
-    "faster": "^",
-    "random": "D",
-    "idm": "s",
-    "planner": "P",
-    "sumo": "X",
-}  # of policies
+# Of policies.
+MARKS = {"idle": "o", "slower": "v", "faster": "^", "random": "D", "idm": "s", "planner": "P", "sumo": "X"}
 
 
 def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Figure, np.ndarray]:
@@ -197,18 +190,12 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
 
 TREATED = ("control agents", "treated agents")
 BESIDE = {"sumo": "SUMO's driver", "planner": "planner", "slower": "always SLOWER"}  # agents, and their names
-LINE, LETTER = (
-    0.062,
-    0.017,
-)  # what a name takes in arrows(): a line's height, half of a letter's width (of the span)
+# What a name takes in `arrows`: a line's height, and half of a letter's width (of the span).
+LINE, LETTER = 0.062, 0.017
 
 
 @larger
-def crashes_against_speed(
-    drivers: pd.DataFrame,
-    name: str,
-    leads: tuple[str, str] = TREATED,
-) -> str:
+def crashes_against_speed(drivers: pd.DataFrame, name: str, leads: tuple[str, str] = TREATED) -> str:
     """Crash rate against speed, an arrow from control to treated agents for each task, one panel for each traffic.
 
     drivers: of `analysis.drivers`, one setting of each task, with both arms. name: of the figure's ids. leads: what is

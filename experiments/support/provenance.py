@@ -10,17 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-PACKAGES = [
-    "sumo-risky-driving",
-    "libsumo",
-    "highway-env",
-    "gymnasium",
-    "numpy",
-    "numba",
-    "torch",
-    "pandas",
-    "pyarrow",
-]
+PACKAGES = ["sumo-risky-driving", "libsumo", "highway-env", "gymnasium", "numpy"]
+PACKAGES += ["numba", "torch", "pandas", "pyarrow"]
 
 
 @cache

@@ -28,9 +28,8 @@ if TYPE_CHECKING:
 RULES = tuple(dict.fromkeys((*POLICIES, *MAKERS)))
 Env = gym.Env[Any, Any]
 Place = tuple[str, str]  # task and level
-Made = tuple[
-    Env, Policy, str
-]  # the environment as a policy observes it, the policy, and the SHA-256 of what it is
+# The environment as a policy observes it, the policy, and the SHA-256 of what it is.
+Made = tuple[Env, Policy, str]
 
 
 @dataclass(frozen=True)
@@ -101,14 +100,11 @@ def several(policies: str, task: str, level: str) -> list[Entrant]:
             found.append(entrant_of(policy, task, level))
             continue
         keys = {name: record["key"] for name, record in Store(directory).agents().items() if part in name}
-        own = {
-            name: key["seed"]
-            for name, key in keys.items()
-            if (key["task"], key["level_name"]) == (task, level)
-        }
+        own = [name for name, key in keys.items() if (key["task"], key["level_name"]) == (task, level)]
         if not own:
             raise UserError(f"no agent of {task} {level} in {directory} has {part!r} in its name")
-        found += [entrant_of(str(directory), task, level, name) for name in sorted(own, key=own.__getitem__)]
+        own.sort(key=lambda name: keys[name]["seed"])
+        found += [entrant_of(str(directory), task, level, name) for name in own]
     return found
 
 

@@ -56,13 +56,12 @@ def _digits(found: Behaviour) -> str:
 
 
 def _same(found: Behaviour, known: Behaviour) -> bool:
-    def numbers(text: str) -> list[float]:
-        return [float(word) for word in text.split()]
-
-    return found.keys() == known.keys() and all(
-        len(a := numbers(found[name])) == len(b := numbers(known[name]))
-        and np.allclose(a, b, rtol=TOLERANCE, atol=TOLERANCE)
-        for name in found
+    ours, theirs = (
+        {name: np.array(text.split(), float) for name, text in of.items()} for of in (found, known)
+    )
+    return ours.keys() == theirs.keys() and all(
+        a.shape == theirs[name].shape and np.allclose(a, theirs[name], rtol=TOLERANCE, atol=TOLERANCE)
+        for name, a in ours.items()
     )
 
 

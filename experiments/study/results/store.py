@@ -29,14 +29,7 @@ from experiments.study.results.parquet import DamagedCell, DamagedPart, asked_of
 from experiments.study.results.schema import PURPOSES, SCHEMA, TRAINING, WEIGHTS, table_of
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
-from experiments.support.files import (
-    alone,
-    made,
-    read_json,
-    sha256_bytes,
-    write_file,
-    write_json,
-)
+from experiments.support.files import alone, made, read_json, sha256_bytes, write_file, write_json
 from sumo_env.config import did_you_mean
 
 SWEEPS = "sweep.json"

@@ -45,11 +45,17 @@ def some(known, other=WORDS):
     return st.one_of(st.sampled_from(list(known)), other)
 
 
+def several(known, most=2, other=WORDS):
+    return st.lists(some(known, other), max_size=most).map(tuple)
+
+
+SETTINGS = "gamma=0.9 gamma=NaN device=cpu gama=1 = n_steps=8 training_clock=[15,15] training_clock=7"
+CONFIG = "collision_reward=-2 risk_law=linear none=1 = duration action.target_speeds=[5,9] action.x=1"
 ARGUMENTS = {
     "backend": some(BACKENDS),
     "preset": some(PRESETS),
-    "tasks": st.lists(some(TASKS), max_size=3).map(tuple),
-    "levels": st.lists(some([1, 2, 3, 9, -1, 0], NUMBERS), max_size=3).map(tuple),
+    "tasks": several(TASKS, 3),
+    "levels": several([1, 2, 3, 9, -1, 0], 3, NUMBERS),
     "seeds": st.integers(-3, 30),
     "first_seed": NUMBERS,
     "episodes": NUMBERS,
@@ -58,44 +64,17 @@ ARGUMENTS = {
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
     "unseen": st.booleans(),
-    "traffics": st.lists(some(ALL), max_size=2).map(tuple),
+    "traffics": several(ALL),
     "learner": some([*LEARNERS, "none.py:learner"]),
-    "settings": st.lists(
-        some(
-            [
-                "gamma=0.9",
-                "gamma=NaN",
-                "device=cpu",
-                "gama=1",
-                "=",
-                "n_steps=8",
-                "training_clock=[15,15]",
-                "training_clock=7",
-            ]
-        ),
-        max_size=2,
-    ).map(tuple),
+    "settings": several(SETTINGS.split()),
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
-    "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
-    "arms": st.lists(some(EVERY_ARM), max_size=3).map(tuple),
-    "drivers": st.lists(some(DRIVERS), max_size=2).map(tuple),
+    "policy": several(["none.py:make", "none.zip"], 1),
+    "arms": several(EVERY_ARM, 3),
+    "drivers": several(DRIVERS),
     "placebo": st.booleans(),
-    "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),
-    "config": st.lists(
-        some(
-            [
-                "collision_reward=-2",
-                "risk_law=linear",
-                "none=1",
-                "=",
-                "duration",
-                "action.target_speeds=[5,9]",
-                "action.x=1",
-            ]
-        ),
-        max_size=2,
-    ).map(tuple),
-    "features": st.lists(some(["x", "tcpa", "dcpa", "tcba"]), max_size=2).map(tuple),
+    "test_on": several(BACKENDS),
+    "config": several(CONFIG.split()),
+    "features": several(["x", "tcpa", "dcpa", "tcba"]),
     "shard": some(["1/1", "2/3", "3/2", "0/1", "1/0", "²/³", "1/2/3"]),
 }
 

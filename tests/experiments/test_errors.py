@@ -57,9 +57,9 @@ RARE: list[tuple[dict[str, Any], str]] = [
     ({"level": "4"}, "level"),
     ({"policy": "carefull"}, "careful"),
     ({"policy": "none.py:make"}, "none.py"),
-    ({"dose": 0.0}, "--dose"),
+    *(({"dose": dose}, "--dose is between") for dose in (0.0, 2.0)),
     ({"reach": -1.0}, "--reach"),
-    ({"episodes": 0}, "--episodes"),
+    *(({name: -1}, f"--{name} is at least") for name in ("episodes", "seed", "workers")),
     *(({"rates": rates}, "LOW:HIGH") for rates in ("1e-4:x", "0", "1:2:3")),
     ({"executor": "cloud"}, "executor"),
 ]

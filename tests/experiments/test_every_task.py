@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -124,10 +123,9 @@ def every_command(task: str, home: Path) -> None:
 
 
 def test_every_command_takes_a_task_of_one_s_own(
-    own: str, small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    own: str, small: None, words_alone: None, tmp_path: Path
 ) -> None:
     """In a report without figures, which are in the long lane."""
-    monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
     [task] = parsed(doses.Options, ["--out", "x", "--task", own], "").tasks
     assert parsed(rare.Options, ["idle", "--tasks", own], "").task is task == OWN
     every_command(task, tmp_path)

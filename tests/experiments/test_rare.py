@@ -69,12 +69,6 @@ def test_rates_are_two_in_each_decade_or_those_that_are_named() -> None:
     assert rare.rates_of("0.5,0.1") == (0.1, 0.5)
 
 
-@pytest.mark.parametrize("wrong", [{"seed": -1}, {"workers": 0}, {"dose": 2.0}], ids=str)
-def test_a_number_out_of_range_is_refused(wrong) -> None:
-    with pytest.raises(UserError, match=f"--{min(wrong)} is "):
-        rare.question(replace(OPTIONS, **wrong), "slower")
-
-
 MAKE = """
 from pathlib import Path
 

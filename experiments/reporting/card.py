@@ -9,7 +9,6 @@ from typing import Any
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from experiments.analysis.by_task import COLUMNS, OWN
@@ -123,7 +122,7 @@ def card_figure(cards: Cards, sets: Mapping[str, str], own: str = "") -> str | N
         return None
     tasks = list(dict.fromkeys(task for task, _ in driven))
     looks = _looks(list(dict.fromkeys(driver for _, driver in driven)), own)
-    figure, panels, holder = _panels(len(tasks))
+    figure, panels, show = _panels(len(tasks))
     for task, driver in driven:
         both = [rows[task, driver, traffic] for traffic in ("regular", "risky")]
         _drive(panels[tasks.index(task)], both, looks[driver], bars=driver == own)
@@ -131,8 +130,7 @@ def card_figure(cards: Cards, sets: Mapping[str, str], own: str = "") -> str | N
         panel.set_title(task)
         panel.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         figures.share_axis(panel)
-    handles = [Line2D([], [], label=name, **look) for name, look in looks.items()]
-    holder(handles=handles, title="a line begins in regular traffic,\nits mark is in risky traffic")
+    show(looks, title="a line begins in regular traffic,\nits mark is in risky traffic")
     figure.supxlabel("mean speed [m/s]", fontsize=11)
     figure.supylabel("episodes with a crash", fontsize=11)
     return figures.to_svg(figure, "card", "Crash rate against speed by task, from regular to risky traffic")
@@ -145,9 +143,9 @@ def _panels(count: int) -> tuple[Figure, list[Axes], Callable[..., Any]]:
     figure = Figure(figsize=(6.5, 2.1 * rows + (0.5 if spare else 1.6)), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel().tolist()
     if not spare:
-        return figure, panels, partial(figure.legend, loc="outside upper center", ncols=4)
+        return figure, panels, partial(figures.legend, figure, ncols=4)
     panels[-1].set_axis_off()
-    return figure, panels, partial(panels[-1].legend, loc="center", ncols=2)
+    return figure, panels, partial(figures.legend, panels[-1], loc="center", ncols=2)
 
 
 def _drive(panel: Axes, rows: list[Mapping[str, Any]], look: Mapping[str, Any], bars: bool) -> None:

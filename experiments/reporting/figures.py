@@ -127,12 +127,16 @@ def _arms(frame: pd.DataFrame) -> list[str]:
     return [arm for arm in COLOURS if arm in ARMS or (frame["arm"] == arm).any()]
 
 
-def _legend(figure: Any, arms: list[str], policies: list[str], **more: Any) -> None:
-    handles = [Line2D([], [], color=COLOURS[arm], marker="o", label=arm, **more) for arm in arms]
-    handles += [Line2D([], [], ls="", label=policy, **mark_of(policy)) for policy in policies]
-    figure.legend(
-        handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.0, handletextpad=0.3
-    )
+def legend(holder: Figure | Axes, looks: Mapping[str, Mapping[str, Any]], **place: Any) -> None:
+    """A legend of lines and marks, by their labels; above the figure where `place` says nothing else."""
+    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
+    holder.legend(handles=handles, **{"loc": "outside upper center", **place})
+
+
+def _legend(figure: Figure, arms: list[str], policies: list[str], **more: Any) -> None:
+    looks: dict[str, Any] = {arm: {"color": COLOURS[arm], "marker": "o", **more} for arm in arms}
+    looks |= {policy: {"ls": "", **mark_of(policy)} for policy in policies}
+    legend(figure, looks, ncols=len(looks), columnspacing=1.0, handletextpad=0.3)
 
 
 def by_task(frame: pd.DataFrame, rows: int, height: float, **options: Any) -> tuple[Figure, dict[str, Any]]:
@@ -227,10 +231,10 @@ def arrows(
         panel.set_title(f"in {traffic} traffic")
         share_axis(panel)
     panels[0].set_ylim(top=max(1.04, highest + LINE))
-    marks = [(leads[0], "o", PAPER), (leads[1], "o", INK)]
-    marks += [(words, MARKS[who], "none") for who, words in BESIDE.items() if who in set(drivers["driver"])]
-    handles = [Line2D([], [], color=INK, ls="", marker=m, mfc=c, label=words) for words, m, c in marks]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, handletextpad=0.1)
+    marks = {leads[0]: ("o", PAPER), leads[1]: ("o", INK)}
+    marks |= {words: (MARKS[who], "none") for who, words in BESIDE.items() if who in set(drivers["driver"])}
+    looks = {words: {"color": INK, "ls": "", "marker": m, "mfc": c} for words, (m, c) in marks.items()}
+    legend(figure, looks, ncols=3, handletextpad=0.1)
     return figure, panels
 
 
@@ -294,11 +298,9 @@ def effects_by_setting(effects: pd.DataFrame, backend: str) -> str:
         panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}".replace("-", MINUS))
         panel.set_xlabel(f"treatment {MINUS} control [points], left is safer")
     axes[0, 0].set_yticks(list(heights.values()), [f"{p.task} {p.level_name}" for p in places.itertuples()])
-    handles = [
-        Line2D([], [], color=INK, marker="o", label="decided, all settings together"),
-        Line2D([], [], color=INK, marker="o", mfc=PAPER, label="open"),
-    ]
-    figure.legend(handles=handles, loc="outside upper right", ncols=2)
+    full = {"color": INK, "marker": "o"}
+    looks = {"decided, all settings together": full, "open": {**full, "mfc": PAPER}}
+    legend(figure, looks, loc="outside upper right", ncols=2)
     return to_svg(figure, f"{backend}-effects", "Effect on the crash rate by setting and traffic")
 
 
@@ -320,8 +322,7 @@ def dose_response(policies: pd.DataFrame, backend: str) -> str:
         panel.set_xticks([0, 0.5, 1], ["0", ".5", "1"])
     figure.axes[0].set_ylabel("crash rate")
     figure.supxlabel("dose of risk in training", fontsize=8.5)
-    handles = [Line2D([], [], color=INK, ls=ls, label=f"{name} traffic") for name, ls in styles.items()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=2)
+    legend(figure, {f"{name} traffic": {"color": INK, "ls": ls} for name, ls in styles.items()}, ncols=2)
     return to_svg(figure, f"{backend}-doses", "Crash rate against the dose of risk in training, by task")
 
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from experiments.reporting.figures import CAREFUL, COLOURS, INK, MUTED, TASKS, larger, to_svg
+from experiments.reporting.figures import CAREFUL, COLOURS, INK, MUTED, TASKS, larger, legend, to_svg
 
 SHOWN = {  # column, how it is drawn, and the claim with which it is
     "crashes": ("crashes_per_episode", "-", "all"),
@@ -46,11 +45,11 @@ def rare_figure(curves: Mapping[str, pd.DataFrame], title: str) -> str:
     """
     figure = Figure(figsize=(6.5, 5.6), layout="constrained")
     axes = figure.subplots()
-    handles = []
+    looks: dict[str, dict[str, Any]] = {}
     arms, others = dict(COLOURS), cycle(PALETTE)
     for policy, curve in curves.items():
         colour = arms.pop(policy.rpartition("/")[2], None) or next(others)
-        handles.append(Line2D([], [], color=colour, label=policy))
+        looks[policy] = {"color": colour}
         for name, style, claim in SHOWN.values():
             rows = curve[curve["claim"] == claim]
             band = rows["events_per_hour"], rows[f"{name}_low"], rows[f"{name}_high"]
@@ -61,18 +60,16 @@ def rare_figure(curves: Mapping[str, pd.DataFrame], title: str) -> str:
         axes.plot(unclaimed["events_per_hour"], high, color=colour, marker="v", ls="")
         limit = curve["without_per_episode_high"]
         axes.plot(curve["events_per_hour"], limit, color=colour, ls=":", lw=1.0)
-    handles += [Line2D([], [], color=MUTED, ls=style, label=label) for label, (_, style, _) in SHOWN.items()]
-    handles += [
-        Line2D([], [], color=MUTED, ls=":", label="limit of crashes without one"),
-        Line2D([], [], color=MUTED, ls="", marker="v", label="limit, nothing claimed"),
-    ]
+    looks |= {label: {"color": MUTED, "ls": style} for label, (_, style, _) in SHOWN.items()}
+    looks["limit of crashes without one"] = {"color": MUTED, "ls": ":"}
+    looks["limit, nothing claimed"] = {"color": MUTED, "ls": "", "marker": "v"}
     for label, (rate, mark) in ROADS.items():
         on_axis: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "clip_on": False}
-        axes.plot([rate], [0.0], color=INK, marker=mark, ls="", **on_axis)
-        handles.append(Line2D([], [], color=INK, marker=mark, ls="", label=label))
+        looks[label] = {"color": INK, "marker": mark, "ls": ""}
+        axes.plot([rate], [0.0], **looks[label], **on_axis)
     axes.set(xscale="log", yscale="log", title=title, ylabel="crashes per episode")
     axes.set_xlabel("risk events per vehicle and hour")
-    figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    legend(figure, looks, loc="outside lower center", ncols=2)
     return to_svg(figure, "rare", f"Crashes per episode against the rate of risk events: {title}.")
 
 
@@ -99,15 +96,11 @@ def doses_figure(table: pd.DataFrame) -> str:
         panel.set(title=title, ylim=(0, None), xlim=(-0.1, MEASURED + 0.3))
         panel.set_xticks([0, 0.5, 1, MEASURED], ["0", "0.5", "1", "measured"])
     panels[1].plot([MEASURED], [ROADS[LANE_CHANGES][0] / 60], color=INK, marker="s", ls="")
-    handles = [
-        Line2D([], [], color=TASKS[task], marker="o", ms=4, label=task) for task in table["task"].unique()
-    ]
-    handles += [
-        Line2D([], [], color=MUTED, marker="D", mfc="none", ls="", label="measured drivers"),
-        Line2D([], [], color=INK, marker="s", ls="", label=LANE_CHANGES.replace(" ahead", "\nahead")),
-    ]
+    looks = {task: {"color": TASKS[task], "marker": "o", "ms": 4} for task in table["task"].unique()}
+    looks["measured drivers"] = {"color": MUTED, "marker": "D", "mfc": "none", "ls": ""}
+    looks[LANE_CHANGES.replace(" ahead", "\nahead")] = {"color": INK, "marker": "s", "ls": ""}
     spare.set_axis_off()
-    spare.legend(handles=handles, loc="center")
+    legend(spare, looks, loc="center")
     figure.supxlabel("dose of risk", fontsize=11)
     return to_svg(
         figure, "doses", "Hard braking, cut-ins and headway by dose of risk, beside measured drivers"

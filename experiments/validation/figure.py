@@ -6,9 +6,8 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from experiments.reporting.figures import GRID, INK, MUTED, TASKS, TREATMENT, larger, to_svg
+from experiments.reporting.figures import GRID, INK, MUTED, TASKS, TREATMENT, larger, legend, to_svg
 from experiments.validation.checks import MARGINS
 
 # Panels: metrics, title with the margin, whether values are shares of the return's range, and whether the margin is a
@@ -47,10 +46,6 @@ def validation_figure(checks: pd.DataFrame) -> str:
         whole.bar(edges[:-1], counts, WIDEST / BARS, align="edge", color=colours)
         whole.axvline(1.0, color=MUTED)
         whole.set(title="all by size", box_aspect=1, xlabel="difference, in margins", ylabel="checks")
-        handles = [
-            Line2D([], [], ls="", marker="o", color=TASKS[task], label=task) for task in rows["task"].unique()
-        ]
-        figure.legend(
-            handles=handles, loc="outside upper center", ncols=5, handletextpad=0.0, columnspacing=0.8
-        )
+        looks = {task: {"ls": "", "marker": "o", "color": TASKS[task]} for task in rows["task"].unique()}
+        legend(figure, looks, ncols=5, handletextpad=0.0, columnspacing=0.8)
         return to_svg(figure, "validation", "Checks of SUMO against highway-env, with their margins")

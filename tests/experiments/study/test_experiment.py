@@ -12,14 +12,7 @@ import pytest
 from agents.learners import LEARNERS
 from agents.streams import episode_seed
 from experiments.study.design import experiment
-from experiments.study.design.arms import (
-    ARMS,
-    DOSE_ARMS,
-    EVERY_ARM,
-    TEST,
-    scenario_seed,
-    training_seed,
-)
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.design.cell import Cell, setting_of_agent
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.fingerprint import known_dynamics
@@ -43,7 +36,12 @@ def cells(levels: dict | None = None, **options) -> list[Cell]:
 
 def test_further_arms_tests_and_policies_rename_nothing():
     usual = cells()
-    more = cells(arms=tuple(EVERY_ARM), test_on=("replica", "highway-env"), unseen=True, frontier=True)
+    further: dict[str, Any] = {
+        "test_on": ("replica", "highway-env"),
+        "unseen": True,
+        "traffics": ("measured",),
+    }
+    more = cells(arms=tuple(EVERY_ARM), frontier=True, **further)
     assert {c.name for c in usual} <= {c.name for c in more}
     assert len({c.name for c in more}) == len(more)
     agents = [c for c in more if c.kind == "agent"]
@@ -54,7 +52,7 @@ def test_further_arms_tests_and_policies_rename_nothing():
     tested = [{c.arm for c in tests if c.slug.endswith(end)} for end in ends]
     assert tested == [set(DOSE_ARMS), *[set(EVERY_ARM)] * 3]
     unseen = {tuple(c.test_on["traffics"]) for c in tests if c.slug.endswith("-unseen")}
-    assert unseen == {unseen_traffics("highway")}
+    assert unseen == {unseen_traffics("highway"), ("measured",)}
     assert all(c.budget == (0, 0) and c.tested["episodes"] == 5 for c in tests)
     assert all(c.tested.get("dynamics", c.dynamics) == known_dynamics(c.runs_on, c.task) for c in tests)
     assert "highway-env" in next(c for c in tests if c.runs_on == "highway-env").versions

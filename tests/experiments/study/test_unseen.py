@@ -9,9 +9,7 @@ import pandas as pd
 from agents.rules import make_policy
 from experiments.backends import make_env
 from experiments.study.compute.evaluate import evaluate
-from experiments.study.design.experiment import Experiment
 from experiments.study.design.levels import env_config
-from experiments.study.design.presets import cells_of, of_preset
 from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
 from sumo_env.tasks import get_task
 from sumo_env.traffic.scenario import Scenario
@@ -69,13 +67,3 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
     inner: Any = env.unwrapped
     assert inner.config["drivers"] == "highway-env"  # the measured ones leave nothing behind
     env.close()
-
-
-def test_a_sweep_tests_in_further_traffic_by_name() -> None:
-    options: dict[str, Any] = {"preset": "smoke", "tasks": ("highway",), "arms": ("control",)}
-    before, cells = (
-        {cell.name: cell for cell in cells_of(of_preset(Experiment, **options, traffics=names))}
-        for names in ((), ("measured",))
-    )
-    (added,) = cells.keys() - before.keys()
-    assert cells[added].tested["traffics"] == ["measured"] and cells[added].parent.name in before

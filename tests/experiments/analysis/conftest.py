@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -15,6 +16,9 @@ from tests.experiments import synthetic
 SMALLEST = (("highway", "50"), ("u-turn", "3"))
 # A plan like the study's of a size that is quickly made up, by the label of made-up results.
 SMALL = replace(plan.STUDY, stages={"a": SMALLEST, "b": (*SMALLEST, ("u-turn", "6"))}, seeds=2)
+# What `synthetic.write` is asked for where a module says nothing else.
+USUAL: dict[str, Any] = {"levels": {"highway": (1, 2), "u-turn": (1, 2, 3)}, "seeds": 4, "effect": -0.2}
+USUAL["baselines"] = ("careful",)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -25,10 +29,10 @@ def plans() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+def results(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """Of a module that has a MADE_UP, a study as that says."""
     directory = tmp_path_factory.mktemp("results")
-    levels = {"highway": (1, 2), "u-turn": (1, 2, 3)}
-    synthetic.write(directory, levels, seeds=4, effect=-0.2, baselines=("careful",))
+    synthetic.write(directory, **getattr(request.module, "MADE_UP", USUAL))
     return load(directory)
 
 

@@ -16,20 +16,13 @@ from experiments.analysis.plan import DEFAULT
 from experiments.analysis.scores import arms_of, with_outcomes
 from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID, SHEETS
-from experiments.study.results.loaded import Results, load
+from experiments.study.results.loaded import Results
 from experiments.support.errors import UserError
-from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR
 
 LEVELS = {"highway": (1,), "roundabout": (1, 2), "u-turn": (1,)}
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    home = tmp_path_factory.mktemp("by-task")
-    drivers: dict[str, Any] = {"further": ("mixed",), "baselines": ("careful",)}
-    synthetic.write(home, LEVELS, seeds=4, tests=30, effect=-0.3, test_on=("replica",), **drivers)
-    return load(home)
+MADE_UP = {"levels": LEVELS, "seeds": 4, "tests": 30, "effect": -0.3, "test_on": ("replica",)}
+MADE_UP |= {"further": ("mixed",), "baselines": ("careful",)}
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,8 @@ from experiments.study.design import attainable
 from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
 
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    home = tmp_path_factory.mktemp("competent")
-    synthetic.write(home, {"highway": (1,), "two-way": (1,)}, seeds=2, baselines=(), features=("tcpa",))
-    return load(home)
+LEVELS = {"highway": (1,), "two-way": (1,)}
+MADE_UP = {"levels": LEVELS, "seeds": 2, "baselines": (), "features": ("tcpa",)}
 
 
 def driver(kind: str, value: float, crashed: float = 0.1) -> dict[str, Any]:

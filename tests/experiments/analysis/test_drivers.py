@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,15 +9,14 @@ from scipy import stats
 
 from experiments.analysis.drivers import SHOWN, drivers
 from experiments.analysis.scores import at_home, with_outcomes
-from experiments.study.results.loaded import load
-from tests.experiments import synthetic
+from experiments.study.results.loaded import Results
+
+MADE_UP = {"levels": {"u-turn": (1, 2)}, "seeds": 4, "tests": 30, "baselines": ("slower",)}
 
 
 @pytest.fixture(scope="module")
-def episodes(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
-    home: Path = tmp_path_factory.mktemp("drivers")
-    synthetic.write(home, {"u-turn": (1, 2)}, seeds=4, tests=30, baselines=("slower",))
-    return at_home(with_outcomes(load(home)))
+def episodes(results: Results) -> pd.DataFrame:
+    return at_home(with_outcomes(results))
 
 
 def test_means_are_those_of_plain_pandas(episodes: pd.DataFrame) -> None:

@@ -26,14 +26,7 @@ from tests.experiments.analysis.made_up import find
 LEVELS = {"highway": (1,), "u-turn": (1,)}
 FURTHER = ("mixed", "told", "dose50")
 STUDY: dict[str, Any] = {"seeds": 3, "tests": 20, "effect": -0.4, "spread": 0.01, "baselines": ("careful",)}
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    home = tmp_path_factory.mktemp("further")
-    elsewhere = ("replica", "highway-env")
-    synthetic.write(home, LEVELS, **STUDY, further=FURTHER, test_on=elsewhere)
-    return load(home)
+MADE_UP = {"levels": LEVELS, **STUDY, "further": FURTHER, "test_on": ("replica", "highway-env")}
 
 
 def test_nothing_that_the_plan_decides_changes(analysis: Analysis, tmp_path: Any) -> None:

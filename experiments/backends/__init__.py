@@ -50,7 +50,11 @@ def make_env(
 ) -> gym.Env[Any, Any]:
     """A driving task on one of the simulators.
 
-    config: highway-env's configuration keys and `risk`, laid over the task's defaults.
+    Args:
+        backend: "sumo", "highway-env" or "replica".
+        task: of `sumo_env.tasks.TASKS`.
+        config: highway-env's configuration keys and `risk`, laid over the task's defaults.
+        render_mode: None or "rgb_array".
 
     Raises:
         UserError: unknown backend or task, or the backend lacks the task. ImportError: it is not installed.

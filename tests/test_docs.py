@@ -8,7 +8,7 @@ import re
 from ast import literal_eval
 from collections import Counter
 from collections.abc import Iterable
-from itertools import dropwhile, takewhile
+from itertools import dropwhile, product, takewhile
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
@@ -362,6 +362,20 @@ def test_skill_and_caution_are_counted_from_the_stored_moments(task: str, traffi
         mean = {name: fmean(share[name] for share in escapes) for name in names}
         assert pages.answer(task, traffic, "skill", within)["estimate"] == approx(mean["b"] - mean["a"])
     assert {name: pages.from_moments(task, traffic)[name] / 100 for name in names} == approx(mean)
+
+
+def test_readme_s_sentences_are_what_the_study_decided() -> None:
+    """In their order: fewer crashes in risky traffic, more and fewer in regular traffic, caution, skill."""
+    verdicts, answers = pages.study().primary, pages.skill_or_caution()
+    of = {name: set(own["scope"]) for name, own in verdicts.groupby(["term", "verdict"])}
+    assert of["risky", "less"] == {"highway", "roundabout", "intersection", "u-turn"}
+    assert (of["regular", "more"], of["regular", "less"]) == ({"two-way"}, {"roundabout", "u-turn"})
+    assert ("risky", "more") not in of
+    who = answers.set_index(["task", "traffic"]).filter(like="who is more")
+    careful, skilled = ([*who.index[who[name] == "treated agents"]] for name in who)
+    assert set(careful) == {*product(("roundabout", "u-turn"), TRAFFICS)}
+    assert set(skilled) == {(task, "risky") for task in answers["task"]}
+    assert [*who.index[who["who is more skilled"] == "control agents"]] == [("two-way-brakes", "regular")]
 
 
 def test_what_became_of_an_effect_follows_from_both_intervals() -> None:

@@ -159,7 +159,7 @@ def test_another_set_says_so_and_enters_no_table(short: Path, tmp_path: Path, mo
 def test_who_drives_where() -> None:
     places = {(task, level) for task, levels in SETTINGS.items() for level in levels}
     control = entrants("control", places)  # published agents, each in the setting of its training
-    assert control.keys() == places and control["u-turn", "12"].name == "u-turn-12/control"
+    assert control.keys() == places and control["u-turn", "3"].name == "u-turn-3/control"
     there = agents.cards()
     for (task, level), one in control.items():  # or else in one of the same task
         name = f"{task}-{level}/control"

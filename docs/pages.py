@@ -42,7 +42,7 @@ TEMPLATES = ROOT / "docs" / "templates"
 STUDY = ROOT / "results" / "study-6"
 # What became of an effect, by its sides before and now: fewer (-1) or more (1) crashes, 0: not decided.
 BECAME = {(-1, -1): "stands", (1, 1): "stands", (-1, 1): "turns", (1, -1): "turns", (0, 0): ""}
-BECAME |= {(-1, 0): "not found", (1, 0): "not found", (0, -1): "new", (0, 1): "new"}
+BECAME |= {(-1, 0): "not decided", (1, 0): "not decided", (0, -1): "new", (0, 1): "new"}
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 

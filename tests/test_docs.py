@@ -385,7 +385,7 @@ def test_what_became_of_an_effect_follows_from_both_intervals() -> None:
         ends = [float(end.replace("−", "-")) for end in re.findall(r"[-+−]?\d+\.\d(?=[,\]])", line)]
         before, now = ((low > 0) - (high < 0) for low, high in (ends[:2], ends[2:]))
         words = {"stands": before == now != 0, "turns": before == -now != 0, "new": not before and now}
-        words |= {"not found": before and not now, "": not before and not now}
+        words |= {"not decided": before and not now, "": not before and not now}
         assert words[line.split("|")[-2].strip()], line
 
 

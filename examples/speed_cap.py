@@ -1,11 +1,9 @@
 """Safer, or only slower? Published agents drive with a cap on their speed (from a clone, with torch).
 
-    python examples/speed_cap.py roundabout     # in 200 risky scenarios of the frozen test; u-turn 40: in 40
-
-Where FASTER would lead above the cap, the car gets IDLE.
+python examples/speed_cap.py roundabout     # in 200 risky scenarios of the frozen test; u-turn 40: in 40
 """
 
-import sys
+import argparse
 from contextlib import closing
 
 import gymnasium as gym
@@ -22,14 +20,16 @@ class Capped(gym.ActionWrapper):
         """IDLE where FASTER is refused."""
         env = self.unwrapped
         ladder, names = np.array(env.action_type.target_speeds), list(env.actions.values())
-        following = min(np.abs(ladder - env.vehicle.speed).argmin() + 1, len(ladder) - 1)
-        refused = names[action] == "FASTER" and ladder[following] > self.cap
-        return names.index("IDLE") if refused else action
+        wanted = ladder[min(np.abs(ladder - env.vehicle.speed).argmin() + 1, len(ladder) - 1)]
+        return names.index("IDLE") if names[action] == "FASTER" and wanted > self.cap else action
 
 
-task, count = sys.argv[1], int([*sys.argv, "200"][2])
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("task", choices=SETTINGS)
+parser.add_argument("--quick", action="store_true")
+task, quick = vars(parser.parse_args()).values()
 setting = f"{task}-{SETTINGS[task][0]}"
-scenarios = [one for one in benchmark_scenarios([task]) if one.group == f"{setting}-risky"][:count]
+scenarios = [one for one in benchmark_scenarios([task], quick) if one.group == f"{setting}-risky"]
 for arm in ("control", "treatment"):
     policy, config = agents.load(setting, arm), agents.card(setting, arm)["config"]
     with closing(Capped(gym.make(f"sumo_env:sumo/{task}-v0", config=config))) as env:
@@ -43,4 +43,5 @@ for arm in ("control", "treatment"):
                     speeds.append(info["speed"])
                     over = terminated or truncated
                 crashes += info["crashed"]
-            print(f"{arm:10}{cap:g} m/s: crashes {100 * crashes / count:.1f} %, {np.mean(speeds):.1f} m/s")
+            crashed, speed = 100 * crashes / len(scenarios), np.mean(speeds)
+            print(f"{arm:10}{cap:g} m/s: crashes {crashed:.1f} %, {speed:.1f} m/s")

@@ -14,7 +14,7 @@ SCENARIOS = EXAMPLES / "scenarios"
 NAMES = sorted(path.stem for path in SCENARIOS.glob("*.py") if path.stem not in ("build", "train"))
 SCRIPTS = {
     "sb3_dqn.py": (["--steps", "120"], "risk 1: return"),
-    "speed_cap.py": (["u-turn", "1"], "treatment 16 m/s: crashes"),
+    "speed_cap.py": (["u-turn", "--quick"], "treatment 16 m/s: crashes"),
     "sb3_ppo.py": (
         [*("--steps", "128", "--envs", "8", "--rollout", "16", "--scenarios", "2"), "--save", "ppo.zip"],
         "of 2 scenarios",

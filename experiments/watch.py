@@ -37,7 +37,7 @@ from experiments.study.results.schema import EPISODES
 from experiments.study.results.store import Store
 from experiments.support.arguments import command
 from experiments.support.errors import UserError
-from experiments.support.films import PANEL, Film, check_film, save_film, side_by_side
+from experiments.support.films import Film, check_film, panel, save_film, side_by_side
 
 NEARLY = "the first risky one with a near miss that the agent survives"
 CRASHES = "the first risky one in which the agent crashes"
@@ -125,7 +125,7 @@ def watch(options: Options) -> int:
         record, table = store.record(cell), store.tables(cell)[EPISODES]
         driven = table[table["traffic"] == traffic]
         backend, task, config = tested_on(record["key"])
-        with closing(make_env(backend, task, {**config, **PANEL}, "rgb_array")) as env:
+        with closing(make_env(backend, task, {**config, **panel(task, config)}, "rgb_array")) as env:
             film = Film(env)
             at = driven[driven["scenario"] == scenario]
             stored = dict(at.iloc[0]) if len(at) else {"traffic": traffic, "scenario": scenario}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,18 @@ from PIL import Image, ImageDraw, ImageFont
 
 from agents.files import atomic
 from experiments.support.errors import UserError
+from sumo_env.tasks import get_task
 
 FREQUENCY = 5  # pictures per second
 HOLD = 5  # pictures for which the last one stays
 # configuration of an environment whose pictures stand beside others
-PANEL = {"screen_width": 440, "screen_height": 280, "scaling": 3.4, "centering_position": [0.45, 0.65]}
+PANEL: dict[str, Any] = {
+    "screen_width": 440,
+    "screen_height": 280,
+    "scaling": 3.4,
+    "centering_position": [0.45, 0.65],
+}
+LOWEST, MARGIN = 120, 30  # [px] of such a picture, and beyond a road that is straight
 TITLE, GAP = 22, 8  # [px] above a picture, and between two
 
 Pictures = list[Image.Image]
@@ -46,6 +53,18 @@ class Film:
         self._seen += 1
         if self._seen % max(self.frames_per_sec // FREQUENCY, 1) == 0:
             self.pictures.append(Image.fromarray(self.env.render()))
+
+
+def panel(task: str, config: Mapping[str, Any]) -> dict[str, Any]:
+    """`PANEL`, lower where the road of the task is straight, so that little of a picture is ground."""
+    known = get_task(task)
+    lanes = known.road({**known.defaults, **config}).lanes.values()
+    across = [lane.position(s, 0.0)[1] for lane in lanes for s in (0.0, lane.length / 2, lane.length)]
+    # the camera follows the ego, on any of the lanes
+    height = int(2 * PANEL["scaling"] * (max(across) - min(across))) + 2 * MARGIN
+    if height >= PANEL["screen_height"]:
+        return PANEL
+    return {**PANEL, "screen_height": max(height, LOWEST), "centering_position": [0.45, 0.5]}
 
 
 def side_by_side(

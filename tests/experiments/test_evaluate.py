@@ -17,7 +17,10 @@ from experiments import evaluate
 from experiments.reporting.card import ALL, rows
 from experiments.study.compute.entrants import entrant_of, entrants
 from experiments.support.errors import UserError
+from experiments.support.films import PANEL, panel
 from sumo_env.benchmark import SETTINGS, TRAFFICS
+from sumo_env.networks.lanes import WIDTH
+from sumo_env.tasks import get_task
 
 MAKE = """
 class Slow:
@@ -56,6 +59,14 @@ def test_a_policy_of_one_s_own_gets_the_card_of_the_rule_that_it_is(short: Path,
         assert row["entered"] is None  # there is no crossing
         for value, low, high in (row["crashed"], row["return"]):
             assert low <= value <= high
+
+
+@pytest.mark.parametrize("task", ["highway", "two-way", "merge"])
+def test_the_film_of_a_straight_road_is_low_and_has_all_lanes_in_sight_of_each(task: str) -> None:
+    shown, road = panel(task, {}), get_task(task).road(dict(get_task(task).defaults))
+    sides = [lane.position(10.0, 0.0)[1] for lane in road.lanes.values()]
+    reach = shown["screen_height"] / 2 / shown["scaling"] - WIDTH / 2
+    assert max(sides) - min(sides) < reach and shown["screen_height"] < PANEL["screen_height"] / 1.5
 
 
 def test_the_worst_crash_of_a_task_is_filmed_beside_a_driver_without_one(

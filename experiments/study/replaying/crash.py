@@ -10,9 +10,10 @@ import pandas as pd
 
 from experiments.study.compute.entrants import Entrant, Place, entrant_of
 from experiments.study.compute.frozen_test import episode, opened
+from experiments.study.design.sheet import task_of
 from experiments.study.replaying.rerun import ending
 from experiments.support.errors import UserError
-from experiments.support.films import PANEL, Film, Pictures, side_by_side
+from experiments.support.films import Film, Pictures, panel, side_by_side
 from sumo_env.benchmark import BenchmarkScenario
 
 OTHERS = ("careful", "sumo", "slower")  # who may drive beside it, the first choice first
@@ -68,7 +69,9 @@ def beside_another(crash: Crash, name: str) -> Pictures:
 
 def _film(name: str, driver: Entrant, scenario: BenchmarkScenario) -> tuple[str, Pictures, bool]:
     """A title, the pictures, and whether the driver crashes."""
-    with closing(opened(scenario, driver, "rgb_array", **PANEL)) as env:
+    with closing(
+        opened(scenario, driver, "rgb_array", **panel(task_of(scenario.task), scenario.config))
+    ) as env:
         film = Film(env)
         row: dict[str, Any] = episode(driver, *driver.make(env), scenario, film.frame)
     return f"{name}: {ending(row)}", film.pictures, row["crashed"]

@@ -10,7 +10,8 @@ from typing import Any
 import pandas as pd
 
 from experiments.study.compute.takeover import PAIR, WINDOW, Driver, Moment, Question
-from experiments.support.films import PANEL, Film, Pictures
+from experiments.study.design.sheet import task_of
+from experiments.support.films import Film, Pictures, panel
 
 
 def most_telling(rows: pd.DataFrame) -> Mapping[str, Any] | None:
@@ -27,7 +28,7 @@ def films(asked: Question, row: Mapping[str, Any], names: Mapping[str, str]) -> 
     """Both endings of a row of the record, driven again from the reset, each under what comes of it."""
     found = []
     for name in PAIR:
-        with closing(asked.open("rgb_array", **PANEL)) as env:
+        with closing(asked.open("rgb_array", **panel(task_of(asked.task), asked.config))) as env:
             driver, film = Driver(asked.drivers[name], env), Film(env)
             past: list[Any] = [env.reset(**asked.reset(row["scenario"]))]
             film.frame()

@@ -63,9 +63,9 @@ def danger_figure(rows: pd.DataFrame) -> str:
     rows: a record of several tasks, whose a and b are control and treated agents.
     """
     drivers = each(rows, ["task", "traffic"], overall).replace({"driver": ARM_OF})
-    figure, panels = arrows(drivers, 4.3, "danger", 1.0)
+    figure, panels = arrows(drivers, 4.3, "danger", 1.1)
     for panel in panels:
-        panel.set(xlim=(-0.04, 1.2), xticks=[0, 0.5, 1])
+        panel.set_xticks([0, 0.5, 1])
         panel.xaxis.set_major_formatter(share)
     panels[0].set_ylabel("critical moments that end in a crash")
     figure.supxlabel("episodes in danger", fontsize=11)

@@ -327,8 +327,8 @@ def test_arrows_lead_from_control_to_treated_agents_where_they_are_apart() -> No
     assert mark == [20.0, 0.03]
 
 
-def test_no_name_of_a_task_covers_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As they are drawn, wherever the agents are; and each stands above its own control agents."""
+def test_no_name_of_a_task_covers_another_or_an_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As they are drawn, wherever the agents are; and each stands beside its own arrow."""
     monkeypatch.setattr(figures, "to_svg", lambda figure, *_: figure)
     random = np.random.default_rng(1)
     for _ in range(5):
@@ -344,8 +344,13 @@ def test_no_name_of_a_task_covers_another(monkeypatch: pytest.MonkeyPatch) -> No
             assert len(boxes) == len(figures.TASKS)
             assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
             assert all(panel.bbox.y1 >= box.y1 for box in boxes)
-        heights = {words.get_text(): words.get_position()[1] for words in figure.axes[0].texts}
-        assert all(heights[task] > rate for task, rate in zip(figures.TASKS, rates[::2], strict=True))
+            own = [start[3:] for start in starts if start[1] == TRAFFICS[[*figure.axes].index(panel)]]
+            agents = panel.transData.transform([[pace, rate] for rate, pace in [*own, (0.5, 15.0)]])
+            assert not any(box.contains(*at) for box, at in product(boxes, agents))
+            for box, at in zip(boxes, agents, strict=False):
+                sides = box.intervalx, box.intervaly
+                near = [np.clip(place, *ends) for place, ends in zip(at, sides, strict=True)]
+                assert min(np.hypot(*(near - at)), np.hypot(*(near - agents[-1]))) < 0.3 * panel.bbox.height
 
 
 def test_the_report_shows_the_lightest_settings_that_have_both_arms() -> None:

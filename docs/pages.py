@@ -28,8 +28,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from docs.settings import learned, readme_agents, trainings
 from experiments import evaluate
 from experiments.reporting import by_task, takeover
+from experiments.reporting.arrows import crashes_against_speed
 from experiments.reporting.card import ALL, card_figure
-from experiments.reporting.figures import alone, crashes_against_speed
+from experiments.reporting.figures import alone
 from experiments.reporting.page import lightest
 from experiments.reporting.rare import doses_figure, rare_figure
 from experiments.reporting.tables import chosen, effect, interval, plain, points
@@ -203,13 +204,12 @@ FUNCTIONS: list[Callable[..., Any]] = [
     *(readme_agents, row, signs, study, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
-LEADS = "random actions", "DQN, median and range"
 # Their files are in docs/img; study: of each task's lightest traffic.
 FIGURES: dict[str, Callable[[], str]] = {
     "study": lambda: crashes_against_speed(lightest(study().drivers), "study"),
     "takeover": lambda: takeover.danger_figure(moments()),
     "entries": entries_figure,
-    "settings": lambda: crashes_against_speed(learned(), "settings", LEADS),
+    "settings": lambda: crashes_against_speed(learned(), "settings"),
     "validation": lambda: validation_figure(checks()),
     "road-units": lambda: doses_figure(pd.read_parquet(ROOT / "results" / "road-units.parquet")),
     "rare": rare_curves,

@@ -19,7 +19,7 @@ from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA, Outcome, Plan, plan_of
 from experiments.analysis.scores import with_outcomes
-from experiments.reporting import by_task, figures, tables, takeover
+from experiments.reporting import arrows, by_task, figures, tables, takeover
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.compute.progress import duration
 from experiments.study.design.arms import ARMS, DOSE_ARMS
@@ -183,7 +183,7 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
     compared = lightest(chosen(analysis.drivers, backend=name))
     found = {
         "traffic": figures.against_traffic(policies, name),
-        "speed": figures.crashes_against_speed(compared, name) if len(compared) else None,
+        "speed": arrows.crashes_against_speed(compared, name) if len(compared) else None,
         "effects": figures.effects_by_setting(effects, name) if len(effects) else None,
         "doses": figures.dose_response(policies, name) if doses else None,
         "learning": figures.learning_curves(agents, name) if agents else None,

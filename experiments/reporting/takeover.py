@@ -11,14 +11,13 @@ from matplotlib.lines import Line2D
 
 from experiments.analysis.scores import in_order
 from experiments.analysis.takeover import ADJECTIVES, CAUTION, SKILL, claims, each, of_tasks, overall
+from experiments.reporting.arrows import TREATED, arrows
 from experiments.reporting.figures import (
     CONTROL,
     INK,
     MUTED,
     PAPER,
-    TREATED,
     TREATMENT,
-    arrows,
     larger,
     new_figure,
     share,

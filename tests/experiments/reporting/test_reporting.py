@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from scipy import stats
 
 from experiments.analysis.drivers import hazards
-from experiments.reporting import by_task, figures, page, tables
+from experiments.reporting import arrows, by_task, figures, page, tables
 from experiments.reporting.card import ALL, card_figure
 from experiments.study.design.traffic import TRAFFICS
 
@@ -316,26 +316,26 @@ SPEEDS = speeds(
 
 
 def test_arrows_lead_from_control_to_treated_agents_where_they_are_apart() -> None:
-    calls = drawn("annotate", figures.crashes_against_speed, SPEEDS)
-    arrows = [call.args[:3] for call in calls if "arrowprops" in call.kwargs]
-    assert arrows == [
+    calls = drawn("annotate", arrows.crashes_against_speed, SPEEDS)
+    drawn_arrows = [call.args[:3] for call in calls if "arrowprops" in call.kwargs]
+    assert drawn_arrows == [
         ("", (12.0, 0.02), (23.0, 0.01)),
         ("", (11.0, 0.2), (21.0, 0.8)),
         ("", (29.0, 0.1), (29.0, 0.2)),
     ]
-    [mark] = [[*call.args[:2]] for call in drawn("plot", figures.crashes_against_speed, SPEEDS)]
+    [mark] = [[*call.args[:2]] for call in drawn("plot", arrows.crashes_against_speed, SPEEDS)]
     assert mark == [20.0, 0.03]
 
 
 def test_no_name_of_a_task_covers_another_or_an_agent(monkeypatch: pytest.MonkeyPatch) -> None:
     """As they are drawn, wherever the agents are; and each stands beside its own arrow."""
-    monkeypatch.setattr(figures, "to_svg", lambda figure, *_: figure)
+    monkeypatch.setattr(arrows, "to_svg", lambda figure, *_: figure)
     random = np.random.default_rng(1)
     for _ in range(5):
         rates, paces = random.uniform(0, 1, 12) ** 3, random.uniform(0, 30, 12)
         places = [*product(figures.TASKS, TRAFFICS)]
         starts = [(*place, "control", rates[k], paces[k]) for k, place in enumerate(places)]
-        figure: Any = figures.crashes_against_speed(
+        figure: Any = arrows.crashes_against_speed(
             speeds(*starts, *((*place, "treatment", 0.5, 15.0) for place in places)), "study"
         )
         figure.draw_without_rendering()
@@ -394,7 +394,7 @@ def test_the_figure_of_a_card_leads_from_regular_to_risky_traffic() -> None:
 
 
 def test_a_figure_that_stands_alone_has_every_colour_in_both_schemes() -> None:
-    svg = figures.alone(figures.crashes_against_speed(SPEEDS, "study"))
+    svg = figures.alone(arrows.crashes_against_speed(SPEEDS, "study"))
     style = svg[svg.index("<style>") : svg.index("</style>")]
     used = {*re.findall(r"var\(--([\w-]+)", svg)}
     assert {"ink", "paper", "highway", "u-turn"} <= used

@@ -60,7 +60,9 @@ def rare_figure(curves: Mapping[str, pd.DataFrame], title: str) -> str:
         axes.plot(unclaimed["events_per_hour"], high, color=colour, marker="v", ls="")
         limit = curve["without_per_episode_high"]
         axes.plot(curve["events_per_hour"], limit, color=colour, ls=":", lw=1.0)
-    looks |= {label: {"color": MUTED, "ls": style} for label, (_, style, _) in SHOWN.items()}
+    claims = set(pd.concat([*curves.values()])["claim"])
+    styles = {label: style for label, (_, style, claim) in SHOWN.items() if claim in claims}
+    looks |= {label: {"color": MUTED, "ls": style} for label, style in styles.items()}
     looks["limit of crashes without one"] = {"color": MUTED, "ls": ":"}
     looks["limit, nothing claimed"] = {"color": MUTED, "ls": "", "marker": "v"}
     for label, (rate, mark) in ROADS.items():

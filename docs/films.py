@@ -53,15 +53,15 @@ HIGH = {"screen_width": 240, "screen_height": 280}
 NEARER = get_task("two-way").levels["5+2"]
 Place = tuple[float | None, float | None]
 # task -> seed, configuration of its film, and what is in its middle [m]: None where the camera follows the ego. The
-# seeds are the first ones with a near miss or crash beside a car in a risk event within 5 s; on the two-way road, where
-# oncoming cars are met by then at its level 5+2, the first one with a crash.
+# seeds are among the first ones with a near miss or crash beside a car in a risk event; on the two-way road, where
+# oncoming cars are met by then at its level 5+2, the first one with a crash. On the roundabout no two others touch.
 FILMS: dict[str, tuple[int, dict[str, Any], Place]] = {
     "highway": (5, {**STRIP, "scaling": 4.5}, (None, 3.6)),
     "two-way": (2, {**STRIP, **NEARER, "scaling": 5.0, "centering_position": [0.35, 0.5]}, (None, 1.0)),
     "merge": (12, {**STRIP, "scaling": 3.8}, (None, 4.6)),
-    "roundabout": (2, {**HIGH, "screen_width": 280, "scaling": 4.3}, (0.0, -4.0)),
+    "roundabout": (11, {**HIGH, "screen_width": 280, "scaling": 4.3}, (0.0, -4.0)),
     "intersection": (0, {**HIGH, "scaling": 5.5}, (2.0, 6.0)),
-    "u-turn": (2, {**HIGH, "scaling": 4.6}, (130.0, 22.0)),
+    "u-turn": (6, {**HIGH, "scaling": 4.6}, (130.0, 22.0)),
 }
 SCENARIO, SECONDS, TILE = 10_000, 12, 300  # of the small scenarios: seed, steps, size [px]
 # the picture of README's Drive, whose seed it has, and policy steps after the crash

@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
-# Where torch for the CPU comes from (with CUDA it is 2.6 GB): make setup TORCH= takes the usual build.
+# Where torch for the CPU comes from: make setup TORCH= takes the usual build, with CUDA.
 TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1

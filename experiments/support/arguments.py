@@ -52,9 +52,16 @@ def parsed(
         about: the command, for the help. default: what is not said, from the command line (by default the class's own).
 
     Raises:
-        UserError: a flag has another value than true, false, yes or no; or a value begins with a dash.
+        UserError: a flag has another value than true, false, yes or no; a value begins with a dash; or what is named
+            without an option is not there, perhaps taken as one more value of an option.
     """
     words = split_arguments(arguments, options)
+    hints = get_type_hints(options, include_extras=True)
+    unnamed = [
+        name for name, hint in hints.items() if tyro.conf.Positional in getattr(hint, "__metadata__", ())
+    ]
+    if unnamed and words and words[0].startswith("--") and words[0] != "--help":
+        raise UserError(f"{unnamed[0].upper()} is missing: name it before the options")
     usual = default(words) if default else tyro.MISSING_NONPROP
     config = (tyro.conf.FlagCreatePairsOff,)
     return tyro.cli(options, args=words, default=usual, description=about, config=config)

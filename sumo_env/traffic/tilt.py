@@ -88,6 +88,7 @@ def asked_tilt(options: Mapping[str, Any], rates: RiskRates, dose: float, durati
         isinstance(one, int | float) and not isinstance(one, bool) for one in given
     ):
         raise ConfigError(
-            f"options['event_factor'] and options['event_reach'] [m] must both be numbers, not {given!r}"
+            "options['event_factor'] and options['event_reach'] [m] are given together, as numbers: not "
+            f"{ {name: options[name] for name in TILTED if name in options} }"
         )
     return Tilt(float(given[0]), float(given[1]), rates, dose, duration)

@@ -116,6 +116,9 @@ def entrants(policy: str, places: Iterable[Place], part: str = "") -> dict[Place
     """
     if policy in RULES or policy.endswith(".zip") or ":" in policy:
         load = _rule if policy in RULES else _foreign
+        file = policy if policy.endswith(".zip") else policy.rpartition(":")[0]
+        if load is _foreign and "{" not in file and not Path(file).is_file():
+            raise UserError(f"there is no file {file}")
         names = {at: policy.replace("{task}", at[0]).replace("{level}", at[1]) for at in places}
         return {at: Entrant(name, None, partial(load, name)) for at, name in names.items()}
     trained = _stored(Path(policy), part) if Path(policy).is_dir() else _published(policy)

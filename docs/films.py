@@ -63,7 +63,8 @@ FILMS: dict[str, tuple[int, dict[str, Any], Place]] = {
     "intersection": (0, {**HIGH, "scaling": 5.5}, (2.0, 6.0)),
     "u-turn": (6, {**HIGH, "scaling": 4.6}, (130.0, 22.0)),
 }
-SCENARIO, SECONDS, TILE = 10_000, 12, 300  # of the small scenarios: seed, steps, size [px]
+SCENARIO, TILE = 10_000, 300  # of the small scenarios: seed, size [px]
+STEPS = {"lights": 20, "ramp": 24}  # until there is something to see; of the others 12
 # the picture of README's Drive, whose seed it has, and policy steps after the crash
 (SEED,) = map(int, re.findall(r"reset\(seed=(\d+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))[:1])
 DRIVE: dict[str, Any] = {"policy_frequency": 5, "duration": 20, **STRIP, "screen_width": 600, "scaling": 5.0}
@@ -169,7 +170,7 @@ def scenarios() -> None:
         env.reset(seed=SCENARIO)
         alone = isinstance(env, gym.Env)
         cars = {"ego": env} if alone else env.cars
-        for _ in range(SECONDS):
+        for _ in range(STEPS.get(script.stem, 12)):
             ignored = {}
             for name, car in cars.items():
                 car.hand_over()

@@ -33,8 +33,6 @@ OTHER = 1  # the number of an action of which rewards take no notice
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 PAID = tuple(name for name, task in TASKS.items() if task.versions)  # tasks whose rewards `reward` has
 HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN, MERGE, EXIT = range(len(PAID))
-LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
-LANE_REWARDS |= dict.fromkeys(("merge", "exit"), "right_lane_reward")
 
 OUTCOME = record_type(  # of a policy step, see `DrivingEnv.step`
     [
@@ -102,10 +100,10 @@ def reward_weights(task: Task, config: Config) -> RewardWeights:
     return RewardWeights(
         task=PAID.index(task.name),
         collision=weight("collision_reward"),
-        lane=weight(LANE_REWARDS.get(task.name, "")),
+        lane=weight("left_lane_reward") + weight("right_lane_reward"),  # no task has both
         speed=weight("high_speed_reward"),
         lane_change=weight("lane_change_reward"),
-        arrived=weight("goal_reward" if task.name == "exit" else "arrived_reward"),
+        arrived=weight("arrived_reward") + weight("goal_reward"),  # likewise
         held_up=weight("merging_speed_reward"),
         places=_places(task, config),
         is_normalized=limits is not None,

@@ -181,10 +181,8 @@ class Task:
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
         """Whether the episode is over, apart from its time."""
-        off_road = (
-            "offroad_terminal" in self.defaults and bool(config["offroad_terminal"]) and not ego.on_road
-        )
-        return ego.crashed or off_road or self.arrived(ego)
+        ends_off_road = "offroad_terminal" in self.defaults and bool(config["offroad_terminal"])
+        return ego.crashed or (ends_off_road and not ego.on_road) or self.arrived(ego)
 
     def events(
         self, config: Config, vehicles: Iterable[VehicleSpec], spawns: Iterable[Spawn], seed: int

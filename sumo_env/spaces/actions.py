@@ -96,10 +96,6 @@ class DiscreteMetaAction:
             None if self.by_sumo[1] else lane_after(name, now),
         )
 
-    def plain(self, action: Any) -> int:
-        """The index of an action."""
-        return int(action)
-
 
 def target_speed_index(action: str, index: int, speed: float, target_speeds: tuple[float, ...]) -> int:
     """Index of the target speed after a meta-action; `index` is the previous one, `speed` the measured speed [m/s]."""
@@ -209,11 +205,6 @@ class ContinuousAction:
             abs(acceleration),
         )
 
-    def plain(self, action: Any) -> PlainAction:
-        """A number, or a tuple of both."""
-        values = tuple(map(float, action))
-        return values if len(values) > 1 else values[0]
-
     def numbers(self, actions: Any) -> NDArray[Any]:
         """Actions as numbers, shape (..., size), here one action or several; ValueError if they are none."""
         values = np.asarray(actions)
@@ -261,10 +252,6 @@ class DiscreteAction(ContinuousAction):
         ends = np.ones(self.size, np.float32)
         return np.array(list(product(*np.linspace(-ends, ends, self.actions_per_axis).T)))
 
-    def plain(self, action: Any) -> int:
-        """The index of an action."""
-        return int(action)
-
     def numbers(self, actions: Any) -> NDArray[Any]:
         """The numbers that indices of actions stand for, shape (..., size); ValueError if there is none."""
         places, count = np.asarray(actions), len(self._table)
@@ -276,7 +263,7 @@ class DiscreteAction(ContinuousAction):
 # -- configuration -------------------------------------------------------------------------------------------------
 
 # Each has a `space`, the `names` of its meta-actions, and says whether it `steers`: then the ego has no target lane and
-# no target speed. `command` makes the command for a policy step; `plain` is the action for `EgoState.action`.
+# no target speed. `command` makes the command for a policy step.
 ActionType = DiscreteMetaAction | ContinuousAction
 
 
@@ -312,6 +299,14 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
         return ContinuousAction(**given)
     count = whole_number("'actions_per_axis'", action.get("actions_per_axis", 3), MOST_PER_AXIS)
     return DiscreteAction(**{**given, "actions_per_axis": count})
+
+
+def plain(action: Any) -> PlainAction:
+    """An action for `EgoState.action`: an index, a number, or a tuple of both numbers."""
+    if np.ndim(action) == 0:
+        return int(action)
+    values = tuple(map(float, action))
+    return values if len(values) > 1 else values[0]
 
 
 def _rising(what: str, given: Any, most: float = inf) -> tuple[float, ...]:

@@ -109,9 +109,8 @@ class Camera(NamedTuple):
         """
         size = np.array([int(view["screen_width"]), int(view["screen_height"])]) * finer
         scale = float(view["scaling"]) * finer
-        corner = np.array([scene.x.item(0), scene.y.item(0)]) * scale - size * np.array(
-            view["centering_position"]
-        )
+        ego = np.array([scene.x.item(0), scene.y.item(0)]) * scale
+        corner = ego - size * np.array(view["centering_position"])
         return cls(np.rint(corner).astype(np.int64), size, scale)
 
     def place(self, x: float, y: float) -> Points:

@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from sumo_env.contacts.rectangles import state_of
 from sumo_env.networks.mapping import Network, SumoLane
 from sumo_env.scene import Scene
 from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
@@ -97,10 +98,9 @@ def _floating_car_data(
         for row, name in enumerate(scene.ids):
             if name not in ways:
                 continue
-            heading = float(scene.heading[row])
+            x, y, speed, heading = state_of(scene, row)
             half = scene.size(name)[0] / 2
-            x = float(scene.x[row]) + half * math.cos(heading)
-            y = float(scene.y[row]) + half * math.sin(heading)
+            x, y = x + half * math.cos(heading), y + half * math.sin(heading)
             lane_id, position = ways[name].locate(x, y)
             kind = _type(shown.get(name, "car"), scene.sizes.get(name))
             ElementTree.SubElement(
@@ -111,7 +111,7 @@ def _floating_car_data(
                 y=f"{-y:.3f}",
                 angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}",
                 type=kind,
-                speed=f"{float(scene.speed[row]):.3f}",
+                speed=f"{speed:.3f}",
                 pos=f"{position:.3f}",
                 lane=lane_id,
                 slope="0",

@@ -52,9 +52,8 @@ class Car:
         around, detector, name, ego = self.around, self._detector, self.name, self.ego
         seen, before = around.ego, around.near
         around.update(time, ego.speed, commanded)
-        partners: Collection[str] = ()  # whom SUMO reports in collision with this car
-        if reported:
-            partners = {one if other == name else other for one, other in reported if name in (one, other)}
+        # whom SUMO reports in collision with this car
+        partners = {one if other == name else other for one, other in reported if name in (one, other)}
         ids, found = around.within_reach(seen, before, dt, partners), None
         if ids and not ego.overlaps_count:
             ids = self._without_overlaps(ids, seen, before, partners)

@@ -215,10 +215,8 @@ class Session:
     def may_change(self, lane: str, beside: str, vehicles: str) -> bool:
         """Whether a class of vehicles may change between two lanes that lie side by side."""
         side = 1 if int(beside.rpartition("_")[2]) > int(lane.rpartition("_")[2]) else -1
-        allowed = self.sumo.lane.getAllowed(beside)
-        return (not allowed or vehicles in allowed) and vehicles in self.sumo.lane.getChangePermissions(
-            lane, side
-        )
+        of, allowed = self.sumo.lane, self.sumo.lane.getAllowed(beside)
+        return (not allowed or vehicles in allowed) and vehicles in of.getChangePermissions(lane, side)
 
     def lights(self, name: str) -> list[Light]:
         """The traffic lights on a vehicle's way as far as it sees, the nearest first, and the next one in any case."""
@@ -281,8 +279,6 @@ class Session:
     def read(self, names: Iterable[str]) -> dict[str, State]:
         """States of these vehicles, in this order."""
         position, angle, speed = self.vehicle.getPosition, self._angle, self.vehicle.getSpeed
-        if not self.sizes:
-            return {name: _state(position(name), angle(name), speed(name)) for name in names}
         return {name: _state(position(name), angle(name), speed(name), self.half(name)) for name in names}
 
     def halves(self, names: Iterable[str]) -> list[Half]:

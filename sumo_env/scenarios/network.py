@@ -96,11 +96,8 @@ class NetworkTask(Task):
         for name, instead in NOT_ASKED.items():
             if getattr(type(self), name) is not getattr(Task, name):
                 raise ConfigError(f"{type(self).__name__}.{name} is never asked: on SUMO's files {instead}")
-        for name, word in (
-            ("ego_vehicle", ego_vehicle),
-            ("ego_type", ego_type),
-            ("vehicle_type", vehicle_type),
-        ):
+        words = {"ego_vehicle": ego_vehicle, "ego_type": ego_type, "vehicle_type": vehicle_type}
+        for name, word in words.items():
             if not isinstance(word, str | None):
                 raise ConfigError(f"{name} must be an id of SUMO's files, such as '0', not {word!r}")
         if len(set(vehicles := names_of("vehicles", vehicles))) < len(vehicles):

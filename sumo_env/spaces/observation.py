@@ -136,7 +136,7 @@ class Kinematics:
     def observe(self, seen: Situation) -> Array:
         """The table, float32 of shape (vehicles_count, features), rows without a vehicle are zero."""
         rows = self.visible(seen.scene, seen.road, seen.ego.lane)
-        columns = self.columns(seen.scene, seen.road, rows, seen.specs)
+        columns = self.columns(seen, rows)
         values = np.array([columns[feature] for feature in self.features]).T
         form = self.form
         values[1:] -= values[0] * form.relative
@@ -151,10 +151,9 @@ class Kinematics:
             seen.rng.shuffle(table[1:])
         return table
 
-    def columns(
-        self, scene: Scene, road: Road, rows: list[int], specs: Mapping[str, VehicleSpec]
-    ) -> dict[str, Sequence[float]]:
+    def columns(self, seen: Situation, rows: list[int]) -> dict[str, Sequence[float]]:
         """Values of all features of these rows of the scene; plain floats, because the rows are few."""
+        scene, road, specs = seen.scene, seen.road, seen.specs
         x, y, speed, heading = map(list, zip(*(state_of(scene, row) for row in rows), strict=True))
         own = heading[0]
         if self._own_axes:
@@ -184,8 +183,8 @@ class Kinematics:
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
         if any(feature in APPROACH for feature in self.features):
             ego, *others = zip(*(columns[name] for name in RELATIVE), strict=True)
-            seen = (map(sub, other, ego) for other in (ego, *others))
-            columns |= zip(APPROACH, zip(*(approach(*row) for row in seen), strict=True), strict=True)
+            apart = (map(sub, other, ego) for other in (ego, *others))
+            columns |= zip(APPROACH, zip(*(approach(*row) for row in apart), strict=True), strict=True)
         if any(feature in (*ON_ITS_WAY, *ON_REQUEST) for feature in self.features):
             nobody = [0.0] * (len(rows) - 1)
             columns |= {name: [value, *nobody] for name, value in on_its_way(scene).items()}

@@ -68,7 +68,7 @@ class OccupancyGrid:
         """The grid, float32 (or uint8 `as_image`) of shape (features, cells along x, cells along y)."""
         scene, road, before_ego = seen.scene, seen.road, seen.before_ego
         rows = [row for row, name in enumerate(scene.ids) if not is_obstacle(name)]
-        columns = self._table.columns(scene, road, rows, seen.specs)
+        columns = self._table.columns(seen, rows)
         x, y = np.array(columns["x"]), np.array(columns["y"])
         cells, inside = self._cells(scene, x - x[0], y - y[0])
         order = [*range(1, before_ego + 1), 0, *range(before_ego + 1, len(rows))]

@@ -31,7 +31,7 @@ class Car:
     def __init__(self, session: Session, name: str, ego: Any, meeting: Meeting | None) -> None:
         """See `Surroundings`."""
         self.name, self.ego, self.is_commanded = name, ego, False
-        self.around = Surroundings(session, ego.speed, meeting, ego=name)
+        self.around = Surroundings(session, name, ego.speed, meeting)
         self._session, self._detector = session, CrashDetector()
         self._least_ttc, self.distance = inf, 0.0
 

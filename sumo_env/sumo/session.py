@@ -16,7 +16,7 @@ from sumo_env.contacts.rectangles import CAR, HALF_LENGTH, Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, LETTERS, NO_LIGHT, PERCEPTION_DISTANCE, TURN, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
-from sumo_env.sumo.paths import plain_path, temporary_folder
+from sumo_env.sumo.paths import listed, plain_path, temporary_folder
 from sumo_env.sumo.settings import Settings
 
 # Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
@@ -69,8 +69,7 @@ class Session:
             if settings.elements:
                 written = Path(folder) / "elements.add.xml"
                 written.write_text(settings.elements, encoding="utf-8")
-                added = (str(written), values.get("additional-files", ""))
-                values["additional-files"] = ",".join(filter(None, added))
+                values["additional-files"] = listed(written, values.get("additional-files"))
             options = [f"--{name}={value}" for name, value in values.items()]
             if self.sumo.isLoaded():
                 self.sumo.load(options)

@@ -175,13 +175,8 @@ class SumoSimulator:
         if len(self._kept) > MOST_KEPT:
             self._kept = {}
         self._drivers = self._kept | wanted
-        self._loaded = placed_settings(
-            self._network.net_file,
-            self._network.routes.items(),
-            self._dt,
-            [(name, vehicle_type(driver, scenario.calibration)) for name, driver in self._drivers.items()],
-            {name: value for name, value in self._options.items() if name != OUTPUT_DIR},
-        )
+        types = {name: vehicle_type(driver, scenario.calibration) for name, driver in self._drivers.items()}
+        self._loaded = placed_settings(self._network, self._dt, types, self._options)
         return self._loaded
 
     def _place(self, spec: VehicleSpec) -> None:

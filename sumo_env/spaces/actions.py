@@ -91,10 +91,15 @@ class DiscreteMetaAction:
         except (KeyError, TypeError):
             raise ValueError(f"action must be one of {self.names}, not {action!r}") from None
         index_of_speed = target_speed_index(name, now.ego.speed_index, now.ego.speed, self.target_speeds)
-        return EgoCommand(
-            None if self.by_sumo[0] else self.target_speeds[index_of_speed],
-            None if self.by_sumo[1] else lane_after(name, now),
-        )
+        return _commanded(self.by_sumo, self.target_speeds[index_of_speed], name, now)
+
+
+def _commanded(
+    by_sumo: tuple[bool, bool], speed: float, change: str, now: Situation, acceleration: float | None = None
+) -> EgoCommand:
+    """The command to approach a speed [m/s] and to change lanes, but for what SUMO drives."""
+    lane = None if by_sumo[1] else lane_after(change, now)
+    return EgoCommand(None if by_sumo[0] else speed, lane, acceleration)
 
 
 def target_speed_index(action: str, index: int, speed: float, target_speeds: tuple[float, ...]) -> int:
@@ -199,11 +204,7 @@ class ContinuousAction:
         change = (
             "LANE_LEFT" if steering < -CHANGES_LANE else "LANE_RIGHT" if steering > CHANGES_LANE else "IDLE"
         )
-        return EgoCommand(
-            None if self.by_sumo[0] else speed,
-            None if self.by_sumo[1] else lane_after(change, now),
-            abs(acceleration),
-        )
+        return _commanded(self.by_sumo, speed, change, now, abs(acceleration))
 
     def numbers(self, actions: Any) -> NDArray[Any]:
         """Actions as numbers, shape (..., size), here one action or several; ValueError if they are none."""

@@ -58,15 +58,11 @@ class Car:
         if ids and not ego.overlaps_count:
             ids = self._without_overlaps(ids, seen, before, partners)
         if ids or reported or detector.reported:
-            crash = detector.detect(
-                time,
-                dt,
-                (name, *ids),
-                (seen, *[before[other] for other in ids]),
-                (around.ego, *[around.near[other] for other in ids]),
-                partners,
-                self._session.halves((name, *ids)),
-            )
+            everybody = name, *ids
+            then = seen, *[before[other] for other in ids]
+            now = around.ego, *[around.near[other] for other in ids]
+            halves = self._session.halves(everybody)
+            crash = detector.detect(time, dt, everybody, then, now, partners, halves)
             if crash is not None and not ego.vehicle.crashed:
                 ego.vehicle.crash(ego.speed)
                 found = crash

@@ -206,10 +206,8 @@ class Session:
 
     def lanes_ahead(self, name: str) -> list[tuple[str, float, bool]]:
         """Lanes of a vehicle's edge from SUMO's lane 0 on: id, length [m], whether its route goes on from there."""
-        best = self.vehicle.getBestLanes(name)
-        return [
-            (lane, float(self.sumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best
-        ]
+        length, best = self.sumo.lane.getLength, self.vehicle.getBestLanes(name)
+        return [(lane, float(length(lane)), bool(leads)) for lane, _, _, _, leads, _ in best]
 
     def may_change(self, lane: str, beside: str, vehicles: str) -> bool:
         """Whether a class of vehicles may change between two lanes that lie side by side."""

@@ -301,14 +301,6 @@ def ignore(where: str, key: str, hint: str) -> None:
     warn_once(told if hint.startswith("known:") else f"{told}; {hint}")
 
 
-def simulated_frequency(config: Config) -> int:
-    """Steps that are simulated per second [Hz]: ``simulation_frequency``, or its first multiple of at least 5.
-
-    With longer steps, cars would pass through each other.
-    """
-    return int(config["simulation_frequency"]) * math.ceil(5 / config["simulation_frequency"])
-
-
 def tell_of_steps(frequency: int) -> None:
     """Warn where SUMO's step, a whole number of milliseconds, is more than 1 % off that of a frequency [Hz]."""
     step = 1000.0 / frequency

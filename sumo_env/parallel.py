@@ -121,9 +121,8 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
         if self._follows_first:
             rewards = dict.fromkeys(rewards, results[0][1])
             ends = {agent: results[0][2] or self.cars[agent].ego_state.crashed for agent in ends}
-        first, informed = self._enter(
-            come, [agent for agent in ends if not (ends[agent] or truncations[agent])]
-        )
+        staying = [agent for agent in ends if not (ends[agent] or truncations[agent])]
+        first, informed = self._enter(come, staying)
         for agent in first:
             rewards[agent], ends[agent], truncations[agent] = 0.0, False, False
         return observations | first, rewards, ends, truncations, infos | informed
@@ -154,9 +153,8 @@ class AllAgents(BaseParallelWrapper[str, Any, Any]):
 
     def step(self, actions: Mapping[str, Any]) -> Results:
         """Drive one policy step."""
-        observations, rewards, _, truncations, infos = self.env.step(
-            {agent: actions[agent] for agent in self.env.agents}
-        )
+        acting = {agent: actions[agent] for agent in self.env.agents}
+        observations, rewards, _, truncations, infos = self.env.step(acting)
         everybody, is_over, is_late = self.agents, not self.env.agents, any(truncations.values())
         self.agents = [] if is_over else everybody
         return (

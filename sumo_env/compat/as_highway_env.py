@@ -217,13 +217,9 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
                 "target_speed": self.target_speeds[now.ego.speed_index],
                 "target_speeds": np.array(self.target_speeds),
             }
-            self._view = road_view(
-                now,
-                self._car.episode.scenario.further,
-                self._action_type,
-                bool(self.config.get("neighbour_vehicles_connected_lanes")),
-                **(targets if self.actions else {}),
-            )
+            further, ego = self._car.episode.scenario.further, targets if self.actions else {}
+            connected = bool(self.config.get("neighbour_vehicles_connected_lanes"))
+            self._view = road_view(now, further, self._action_type, connected, **ego)
         return self._view
 
     @_only_read

@@ -20,7 +20,6 @@ from sumo_env.contacts.rectangles import (
     State,
     distance,
     first_touch,
-    separation,
     state_between,
     state_of,
 )
@@ -105,11 +104,7 @@ def crash_record(scene: Scene, other: int, detected_by: Detector) -> CrashRecord
 
 def is_confirmed(first: State, second: State, half: Half = CAR, other: Half = CAR) -> bool:
     """Whether SUMO's report of a contact of these two counts: it also reports vehicles that are far apart."""
-    sizes = half, other
-    return (
-        separation(first, second, *sizes) <= SUMO_TOLERANCE
-        and distance(first, second, *sizes) <= SUMO_TOLERANCE
-    )
+    return distance(first, second, half, other) <= SUMO_TOLERANCE
 
 
 class CrashDetector:
@@ -136,7 +131,7 @@ class CrashDetector:
         before: Sequence[State],
         after: Sequence[State],
         reported: Collection[str],
-        halves: Sequence[Half] = (),
+        halves: Sequence[Half],
     ) -> CrashRecord | None:
         """Judge one sub-step; returns `crash`.
 
@@ -147,7 +142,7 @@ class CrashDetector:
             before: their states at the start of the sub-step, in the order of `ids`.
             after: their states at its end.
             reported: ids of the vehicles with which SUMO reports a collision of the ego in this sub-step.
-            halves: half sizes in the order of `ids`, the ego's first; all are cars without them.
+            halves: half sizes in the order of `ids`, the ego's first.
         """
         # SUMO may see a contact a sub-step before the geometry does, or a sub-step later.
         earlier, self.reported = self.reported, reported
@@ -155,23 +150,19 @@ class CrashDetector:
             if self.crash.detected_by == "geometry" and self.crash.other in reported:
                 self.crash = replace(self.crash, detected_by="both")
             return self.crash
-        own = halves[0] if halves else CAR
-        touch = first_touch(before[0], after[0], before[1:], after[1:], halves[1:], own)
+        touch = first_touch(before[0], after[0], before[1:], after[1:], halves[1:], halves[0])
         if touch is not None:
             row, moment = touch[0] + 1, touch[1]
             by: Detector = "both" if ids[row] in reported or ids[row] in earlier else "geometry"
-        elif reported:
+        else:
             confirmed = (
                 row
                 for row in range(1, len(ids))
-                if ids[row] in reported
-                and is_confirmed(after[0], after[row], own, halves[row] if halves else CAR)
+                if ids[row] in reported and is_confirmed(after[0], after[row], halves[0], halves[row])
             )
             row, moment, by = next(confirmed, 0), 1.0, "sumo"
             if row == 0:
                 return None
-        else:
-            return None
         ego, other = (state_between(before[k], after[k], moment) for k in (0, row))
         self.contact = ego, other
         self.crash = record(ego, other, ids[row], round(time - (1.0 - moment) * dt, 6), by)

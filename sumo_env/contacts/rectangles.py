@@ -175,17 +175,17 @@ def first_touch(
     ego_after: State,
     others: Sequence[State],
     others_after: Sequence[State],
-    halves: Sequence[Half] = (),
-    own: Half = CAR,
+    halves: Sequence[Half],
+    own: Half,
 ) -> tuple[int, float] | None:
     """Which of the others the ego touches first within a sub-step, as (row, moment), and None if none; `touch_moment`.
 
-    The rows of `others` (before the sub-step), `others_after` and `halves` are the same vehicles; all are cars without
-    `halves`. `own` is the ego's half size.
+    The rows of `others` (before the sub-step), `others_after` and `halves` (half sizes) are the same vehicles. `own` is
+    the ego's half size.
     """
     least, row = inf, -1
-    for k, (other, other_after) in enumerate(zip(others, others_after, strict=True)):
-        moment = touch_moment(ego, ego_after, other, other_after, halves[k] if halves else CAR, own)
+    for k, (other, other_after, half) in enumerate(zip(others, others_after, halves, strict=True)):
+        moment = touch_moment(ego, ego_after, other, other_after, half, own)
         if moment < least:
             least, row = moment, k
     return None if row < 0 else (row, least)

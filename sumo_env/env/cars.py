@@ -216,20 +216,16 @@ class TupleEnv(gym.Env[Any, Any]):
         results, _ = self.cars.step(dict(enumerate(action)))
         info = {**self._informed(results, [result[1] for result in results.values()]), "action": action}
         rewards, ends = info["agents_rewards"], info["agents_terminated"]
-        reward: Any = results[0][1]
-        end: Any = results[0][2]
-        truncated = results[0][3]
+        own: Any = results[0]
+        reward, end, truncated = own[1:4]
         first, states = self.cars.first, [env.ego_state for env in self.cars.envs]
         if self._per_car:
             reward, end = rewards, ends
         elif first.task.shares_reward:
             is_off = bool(first.config["offroad_terminal"]) and not states[0].on_road
             reward = sum(rewards) / count
-            end = (
-                any(state.crashed for state in states)
-                or all(env._car.arrived for env in self.cars.envs)
-                or is_off
-            )
+            have_arrived = all(env._car.arrived for env in self.cars.envs)
+            end = any(state.crashed for state in states) or have_arrived or is_off
         if self._is_over:
             reward = (paid_late(),) * count if self._per_car else paid_late()
         self._is_over = self._is_over or truncated or (all(end) if self._per_car else end)

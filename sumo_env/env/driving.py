@@ -19,7 +19,7 @@ from sumo_env.env.screen import Screen
 from sumo_env.env.sumo_access import SumoAccess
 from sumo_env.scene import Scene
 from sumo_env.simulator import Command, Commands, EgoCommand, Simulator, Step
-from sumo_env.spaces.actions import PlainAction
+from sumo_env.spaces.actions import PlainAction, plain
 from sumo_env.spaces.info import ending, information, on_its_way, paid_late
 from sumo_env.streams import stream
 from sumo_env.sumo.libsumo_calls import Sumo
@@ -110,9 +110,8 @@ class DrivingEnv(ReadAsHighwayEnv):
         super().reset(seed=seed)
         options = reset_options.checked(options)
         asked = {**self._asked, **keys_of(options.get("config"))}
-        if (
-            asked or self.config != self._configured
-        ):  # users of highway-env write to env.unwrapped.config directly
+        # users of highway-env write to env.unwrapped.config directly
+        if asked or self.config != self._configured:
             self._take(*self._checked(asked))
         task = reset_options.varied(self.task, options, self.config["risk"])
         tilt = asked_tilt(options, task.risk_rates, self.config["risk"], self.config["duration"])
@@ -201,9 +200,9 @@ class DrivingEnv(ReadAsHighwayEnv):
         aim = command.target_speed if isinstance(command, EgoCommand) and self.actions else None
         speed, speeds = car.scene.speed.item(0), self.target_speeds
         index = nearest_index(speed, speeds) if aim is None else speeds.index(aim)
-        plain = self._action_type.plain(action)
-        action = plain if isinstance(plain, int) else np.array(action, np.float32)
-        self._look(plain, index)
+        told = plain(action)
+        action = told if isinstance(told, int) else np.array(action, np.float32)
+        self._look(told, index)
         observation = self._observe()
         reward = returned(self, "_reward", self._reward(action), float)
         terminated = bool(self._is_terminated()) or bool(car.ego_state.ended)

@@ -15,7 +15,7 @@ from sumo_env.config import ConfigError, warn_once
 from sumo_env.env.episode import Episode
 from sumo_env.simulator import Simulator, SimulatorError
 from sumo_env.sumo import export
-from sumo_env.sumo.paths import is_output, temporary_folder, written
+from sumo_env.sumo.paths import is_output, listed, temporary_folder, written
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.settings import file_settings
 from sumo_env.sumo.user_options import OUTPUT_DIR, check_live, check_options, check_outputs
@@ -108,7 +108,5 @@ class SumoAccess:
         if settings.elements:  # drawn traffic, in a file that is left to the user
             with tempfile.NamedTemporaryFile("w", suffix=".add.xml", delete=False) as written:
                 written.write(settings.elements)
-            options["additional-files"] = ",".join(
-                filter(None, (written.name, options.get("additional-files")))
-            )
+            options["additional-files"] = listed(written.name, options.get("additional-files"))
         return shlex.join(["sumo", *(f"--{name}={value}" for name, value in options.items())])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 FURTHER = 6  # steps of its own height that a word moves away from its ring, at most
@@ -48,23 +48,12 @@ def beside(
 
     reach: radius of the car's ring; picture: what has to hold the word; words: written already; cars: the ego first.
     """
-
-    area = size[0] * size[1]
-
-    def cost(place: tuple[int, Box]) -> float:
-        further, box = place
-        hidden = area - box.common(picture) + sum(map(box.common, (*words, *cars[:1])))
-        return HIDDEN * hidden + sum(map(box.common, cars[1:])) + STEP * area * further
-
-    return min(_places(centre, reach, size), key=cost)[1]
-
-
-def _places(
-    centre: tuple[float, float], reach: float, size: tuple[float, float]
-) -> Iterator[tuple[int, Box]]:
-    """Steps away from the ring, and the places on all sides there."""
+    area, costs = size[0] * size[1], dict[Box, float]()
     for further in range(FURTHER + 1):
         away = reach + further * size[1]
         for right, down in SIDES:
             x, y = centre[0] + right * (away + size[0] / 2), centre[1] + down * (away + size[1] / 2)
-            yield further, Box.around(x, y, *size)
+            box = Box.around(x, y, *size)
+            hidden = area - box.common(picture) + sum(map(box.common, (*words, *cars[:1])))
+            costs[box] = HIDDEN * hidden + sum(map(box.common, cars[1:])) + STEP * area * further
+    return min(costs, key=costs.__getitem__)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import dropwhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,11 +133,9 @@ def _has_oncoming_neighbour(road: Road, index: LaneIndex, lane: Lane) -> bool:
     """Whether a later lane runs beside this one, on its left, the other way (not inside a junction)."""
     if type(lane) is not StraightLane or len(road.successors[index[0]]) > 1 or road.count(*index[:2]) > 1:
         return False
-    earlier = True
-    for other_index, other in road.lanes.items():
-        if other_index == index:
-            earlier = False
-        if earlier or type(other) is not StraightLane or road.count(*other_index[:2]) > 1:
+    later = dropwhile(lambda item: item[0] != index, road.lanes.items())
+    for other_index, other in later:
+        if type(other) is not StraightLane or road.count(*other_index[:2]) > 1:
             continue
         s, lateral = lane.local_coordinates(*other.position(other.length / 2, 0.0))
         opposite = abs(wrap_to_pi(other.heading - lane.heading)) > math.pi - 0.01

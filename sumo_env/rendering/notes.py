@@ -7,7 +7,7 @@ from math import inf
 from typing import NamedTuple
 
 from sumo_env.contacts.measures import NEAR_MISS_TTC, ego_ttc
-from sumo_env.contacts.rectangles import state_of
+from sumo_env.contacts.rectangles import states
 from sumo_env.scene import RED, YELLOW, Scene
 from sumo_env.simulator import EgoStep
 from sumo_env.traffic.scenario import Scenario
@@ -83,12 +83,11 @@ def _crashes(scene: Scene, other: str) -> Iterator[Mark]:
 
 def _near(scene: Scene) -> Iterator[Mark]:
     """The vehicle that the ego would hit first, if that were a near miss now; its time is cut, not rounded."""
-    own, *halves = ([size / 2.0 for size in scene.size(name)] for name in scene.ids)
-    ego = state_of(scene, 0)
-    least, name = inf, ""
-    for row, half in enumerate(halves, 1):
-        time = ego_ttc(ego, (state_of(scene, row),), NEAR_MISS_TTC, (half[0], half[1]), (own[0], own[1]))
-        if time < least:
-            least, name = time, scene.ids[row]
-    if name:
-        yield Mark(NEAR_MISS, name, f"{int(10.0 * least) / 10.0} s")
+    own, *halves = ((length / 2.0, width / 2.0) for length, width in map(scene.size, scene.ids))
+    ego, *others = states(scene)
+    times = [
+        ego_ttc(ego, (other,), NEAR_MISS_TTC, half, own) for other, half in zip(others, halves, strict=True)
+    ]
+    least = min(times, default=inf)
+    if least < inf:
+        yield Mark(NEAR_MISS, scene.ids[1 + times.index(least)], f"{int(10.0 * least) / 10.0} s")

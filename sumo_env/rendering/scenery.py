@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from sumo_env.contacts.rectangles import state_of
 from sumo_env.networks.roads import Road
 from sumo_env.rendering.markings import LINE_WIDTH, Points, markings
 from sumo_env.scene import CAR_SIZE, LETTERS, VEHICLE_LENGTH, VEHICLE_WIDTH, Scene, is_obstacle
@@ -109,9 +110,8 @@ class Camera(NamedTuple):
         """
         size = np.array([int(view["screen_width"]), int(view["screen_height"])]) * finer
         scale = float(view["scaling"]) * finer
-        corner = np.array([scene.x.item(0), scene.y.item(0)]) * scale - size * np.array(
-            view["centering_position"]
-        )
+        ego = np.array([scene.x.item(0), scene.y.item(0)]) * scale
+        corner = ego - size * np.array(view["centering_position"])
         return cls(np.rint(corner).astype(np.int64), size, scale)
 
     def place(self, x: float, y: float) -> Points:
@@ -146,10 +146,7 @@ def scenery(scene: Scene, road: Road, camera: Camera, paint: Paint, mode: str = 
     for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
         x, y = camera.place(scene.x.item(row), scene.y.item(row)).tolist()
         if -reach < x < camera.size[0] + reach and -reach < y < camera.size[1] + reach:
-            extent = scene.size(scene.ids[row])
-            _draw_vehicle(
-                pen, (x, y), scene.heading.item(row), scale, _colour(scene, row, paint), extent, paint
-            )
+            _draw_vehicle(pen, scene, row, camera, paint)
     return canvas
 
 
@@ -177,18 +174,13 @@ def _painted(road: Road) -> tuple[_Layer, _Layer, _Layer, _Layer]:
     return _Layer(paint.rims), _Layer(paint.surfaces), _Layer((*paint.dashes, *paint.lines)), lights
 
 
-def _draw_vehicle(
-    pen: ImageDraw.ImageDraw,
-    centre: tuple[float, float],
-    heading: float,
-    scale: float,
-    colour: Colour,
-    size: tuple[float, float],
-    paint: Paint,
-) -> None:
-    """A vehicle of this length and width [m] around a point [px]: a car, stretched."""
+def _draw_vehicle(pen: ImageDraw.ImageDraw, scene: Scene, row: int, camera: Camera, paint: Paint) -> None:
+    """A vehicle of a scene: a car, stretched."""
+    x, y, _, heading = state_of(scene, row)
+    centre, scale, colour = camera.place(x, y), camera.scale, _colour(scene, row, paint)
     cos, sin = math.cos(heading) * scale, math.sin(heading) * scale
-    stretch = (np.array(size) - 1.0 / scale) / CAR_SIZE  # Pillow draws the pixels of both edges
+    # Pillow draws the pixels of both edges
+    stretch = (np.array(scene.size(scene.ids[row])) - 1.0 / scale) / CAR_SIZE
     turn = stretch[:, None] * np.array([(cos, sin), (-sin, cos)])
 
     def place(part: Points) -> list[tuple[int, int]]:

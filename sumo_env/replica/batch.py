@@ -14,7 +14,7 @@ import numpy as np
 from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.measures import DENSITY_RADIUS
 from sumo_env.replica import tables
-from sumo_env.replica.compiled import compiled, inlined, readable
+from sumo_env.replica.compiled import compiled, inlined, record_type
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.observation import ego_place, observe
@@ -33,10 +33,8 @@ OTHER = 1  # the number of an action of which rewards take no notice
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 PAID = tuple(name for name, task in TASKS.items() if task.versions)  # tasks whose rewards `reward` has
 HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN, MERGE, EXIT = range(len(PAID))
-LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
-LANE_REWARDS |= dict.fromkeys(("merge", "exit"), "right_lane_reward")
 
-OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
+OUTCOME = record_type(  # of a policy step, see `DrivingEnv.step`
     [
         ("reward", "f8"),
         ("terminated", "?"),
@@ -48,11 +46,9 @@ OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
         ("density", "i8"),
         ("min_ttc", "f8"),
         ("distance", "f8"),
-    ],
-    align=True,
+    ]
 )
 
-OUTCOME = readable(OUTCOME)
 _nearest_index, _speed_term = inlined(base.nearest_index), inlined(base.speed_term)
 
 
@@ -104,10 +100,10 @@ def reward_weights(task: Task, config: Config) -> RewardWeights:
     return RewardWeights(
         task=PAID.index(task.name),
         collision=weight("collision_reward"),
-        lane=weight(LANE_REWARDS.get(task.name, "")),
+        lane=weight("left_lane_reward") + weight("right_lane_reward"),  # no task has both
         speed=weight("high_speed_reward"),
         lane_change=weight("lane_change_reward"),
-        arrived=weight("goal_reward" if task.name == "exit" else "arrived_reward"),
+        arrived=weight("arrived_reward") + weight("goal_reward"),  # likewise
         held_up=weight("merging_speed_reward"),
         places=_places(task, config),
         is_normalized=limits is not None,
@@ -168,19 +164,14 @@ def no_episodes(count: int, rows: int = 0, features: int = 0) -> Batch:
 def begun(batch: Batch, row: int, start: Start, speed_index: int = 0) -> Batch:
     """The batch in which this episode begins; the same one, or a larger one if there is not enough room."""
     cars, later, events = len(start.cars), len(start.arrivals), len(start.events)
-    for name, rows, size in (
-        ("cars", start.cars, cars + later),
-        ("arrivals", start.arrivals, later),
-        ("events", start.events, events),
-    ):
+    for name, size in {"cars": cars + later, "arrivals": later, "events": events}.items():
         if size == 0:
             continue
-        table = getattr(batch, name)
+        table, rows = getattr(batch, name), getattr(start, name)
         if table.shape[1] < size:
             table = np.concatenate((table, np.zeros((len(table), size), table.dtype)), axis=1)
             batch = batch._replace(**{name: table})
-        same = np.dtype((np.void, table.itemsize))  # see `tables.BYTES`
-        table.view(same)[row, : len(rows)] = rows.view(same)
+        tables.as_bytes(table)[row, : len(rows)] = tables.as_bytes(rows)
     batch.episodes[row] = (cars, later, 0, start.first_arrival, events, 0, 0, speed_index)
     return batch
 
@@ -201,13 +192,8 @@ def copied(batch: Batch, rows: Any) -> Batch:
 
     rows: their numbers, a sequence or an array.
     """
-
-    def copy(table: Any) -> Any:
-        same = np.dtype((np.void, table.itemsize))  # see `tables.BYTES`
-        return table.view(same)[rows].view(table.dtype)
-
     *records, observations = batch
-    return Batch._make([*map(copy, records), observations[rows]])
+    return Batch._make([*(tables.chosen(table, rows) for table in records), observations[rows]])
 
 
 def remaining(batch: Batch, row: int, lanes: tables.Records) -> list[tuple[float, float]]:

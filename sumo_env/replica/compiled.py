@@ -52,8 +52,9 @@ def inlined(function: Function) -> Function:
     return _compiled(function, counts=False)
 
 
-def readable(kind: np.dtype[Any]) -> np.dtype[Any]:
+def record_type(fields: list[Any]) -> np.dtype[Any]:
     """A type of records whose fields are attributes where kernels run as Python, as they are in compiled kernels."""
+    kind = np.dtype(fields, align=True)
     return np.dtype((np.record, kind)) if AS_PYTHON else kind
 
 
@@ -114,11 +115,8 @@ def compile_notice(function: Any) -> Iterator[None]:
             yield
             return
         start = time.perf_counter()
-        print(
-            "sumo_env: Numba compiles highway-env's physics, once for this installation ...",
-            file=sys.stderr,
-            flush=True,
-        )
+        notice = "sumo_env: Numba compiles highway-env's physics, once for this installation ..."
+        print(notice, file=sys.stderr, flush=True)
         yield
         print(f"sumo_env: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
 

@@ -7,7 +7,6 @@ the intersection's arrivals, is drawn by `arrival` when highway-env does it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -87,8 +86,7 @@ def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
 def _highway(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, Vehicles]:
     """``HighwayEnv._create_vehicles`` and ``Vehicle.create_random``."""
     lanes = road.count("0", "1")
-    spread = math.exp(-5 / 40 * lanes)
-    offset = config["ego_spacing"] * (12.0 + 25.0) * spread
+    offset = highway.gap(25.0, config["ego_spacing"], lanes)
     vehicles: list[VehicleSpec] = []
     x, k = 3.0 * offset, 0
     parts = np.array_split(range(int(config["vehicles_count"])), cars_count(config))
@@ -98,7 +96,7 @@ def _highway(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, Vehi
         vehicles.append(make_on_lane(road, car_id(number), start, x, 25.0, _driver(road)))
         for _ in range(share):
             start, speed = ("0", "1", int(rng.integers(lanes))), rng.uniform(0.7 * 30.0, 0.8 * 30.0)
-            x += 1 / config["vehicles_density"] * (12.0 + speed) * spread * rng.uniform(0.9, 1.1)
+            x += highway.gap(speed, 1 / config["vehicles_density"], lanes) * rng.uniform(0.9, 1.1)
             vehicles.append(make_on_lane(road, f"v{k}", start, x, speed, _driver(road, _delta(rng))))
             k += 1
     return vehicles[0], tuple(vehicles[1:])

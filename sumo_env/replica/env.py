@@ -38,9 +38,8 @@ from sumo_env.traffic.scenario import Scenario
 from sumo_env.traffic.tilt import TILTED
 
 SCENARIOS = ("highway-env", "seeded")
-# Policy steps of two-way-v0, which has no duration (``max_episode_steps`` of its registration).
-TIME_LIMIT = 15
-NEVER = 2**31 - 1  # policy steps: of merge-v0, which has neither
+# Policy steps of tasks that have no duration: ``max_episode_steps`` of the registration, which merge-v0 lacks, too.
+TIME_LIMITS = {"two-way": 15, "merge": 2**31 - 1}
 # highway-env's default observations where those of `sumo_env` differ.
 OBSERVATIONS: dict[str, Config] = {
     "two-way": {"type": "TimeToCollision", "horizon": 5},
@@ -212,10 +211,8 @@ class ReplicaEnv(DrivingEnv):
 
     def time_limit(self) -> int:
         """Policy steps after which time is up."""
-        if self.is_stock and self.task.name == "two-way":
-            return TIME_LIMIT
-        if self.is_stock and self.task.name == "merge":
-            return NEVER
+        if self.is_stock and self.task.name in TIME_LIMITS:
+            return TIME_LIMITS[self.task.name]
         return _time_limit(self.config["duration"], self.config["policy_frequency"], self.is_stock)
 
     def _is_truncated(self) -> bool:

@@ -84,13 +84,8 @@ class Replica:
         if warmed_up:
             cars = self._with_ego(cars, everybody[present : present + at_once], warmed_up)
         present += at_once
-        self.start = Start(
-            rules,
-            cars,
-            everybody[present:],
-            present if self.variant == "stock" and warmed_up else 0,
-            events,
-        )
+        first_arrival = present if self.variant == "stock" and warmed_up else 0
+        self.start = Start(rules, cars, everybody[present:], first_arrival, events)
         return self.start
 
     def step(self, commands: Commands, trace: bool = False) -> Step:

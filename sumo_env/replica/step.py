@@ -15,11 +15,10 @@ from sumo_env.replica.give_way import regulate
 from sumo_env.replica.motion import KP_ACCELERATION, move, steer
 from sumo_env.replica.risk import push, return_from_swerve, start_events
 from sumo_env.scene import MAX_SPEED
-from sumo_env.traffic.scenario import SPAWN_DISTANCE
+from sumo_env.traffic.scenario import EXIT_LENGTH, SPAWN_DISTANCE
 
 # Of this type and no literal, for which Numba would compile all that reads it once more.
 NOBODY: Any = np.int64(0)
-EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 # Rows of a frame of a trace, shape (frames, 6, cars):
 X, Y, SPEED, HEADING, CRASHED, IN_EVENT = range(6)
 
@@ -89,7 +88,7 @@ def staying(lanes: Any, cars: Any) -> Any:
     for i in range(len(cars)):
         lane = lanes[cars[i].lane]
         if lane.is_exit and not cars[i].is_ego:
-            stays[i] = on_axis(lane, cars[i].x, cars[i].y)[0] < lane.length - EXIT_MARGIN
+            stays[i] = on_axis(lane, cars[i].x, cars[i].y)[0] < lane.length - EXIT_LENGTH
     return stays
 
 

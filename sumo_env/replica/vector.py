@@ -150,7 +150,7 @@ class ReplicaVectorEnv(VectorEnv):
         if self.autoreset_mode is AutoresetMode.DISABLED:
             assert not self._over.any(), "episodes are over: reset them (options={'reset_mask': ...})"
         elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
-            self._begin_next(np.flatnonzero(self._over))
+            self._begin_next()
         driven = np.where(self._over & (self.autoreset_mode is AutoresetMode.NEXT_STEP), AFRESH, numbers)
         self._drive(driven)
         outcomes = self._batch.outcomes
@@ -176,10 +176,8 @@ class ReplicaVectorEnv(VectorEnv):
         rows = np.asarray(rows).tolist()
         twin = copy.copy(self)
         twin.num_envs, twin._threads, twin._pool = len(rows), 1, None
-        twin.observation_space, twin.action_space = (
-            batch_space(space, len(rows))
-            for space in (self.single_observation_space, self.single_action_space)
-        )
+        twin.observation_space = batch_space(self.single_observation_space, len(rows))
+        twin.action_space = batch_space(self.single_action_space, len(rows))
         twin._states = [self._states[row] for row in rows]
         twin._ahead = {k: self._ahead[row] for k, row in enumerate(rows) if row in self._ahead}
         twin._over, twin._controls = self._over[rows], self._controls[rows]
@@ -218,9 +216,9 @@ class ReplicaVectorEnv(VectorEnv):
             raise ValueError("this configuration needs another batch: make a new vector environment for it")
         return single.replica.start
 
-    def _begin_next(self, rows: NDArray[np.int64]) -> None:
-        """Begin the next episodes of these environments."""
-        for row in rows.tolist():
+    def _begin_next(self) -> None:
+        """Begin the next episode where one is over."""
+        for row in np.flatnonzero(self._over).tolist():
             self._begin(row, self._next(row))
 
     def _next(self, row: int) -> Start:
@@ -280,7 +278,7 @@ class ReplicaVectorEnv(VectorEnv):
         infos = {"final_obs": final, "final_info": self._infos(actions, self._over)}
         for row in np.flatnonzero(self._over).tolist():
             final[row] = self._batch.observations[row].copy()
-        self._begin_next(np.flatnonzero(self._over))
+        self._begin_next()
         self._drive(np.where(self._over, AFRESH, NOTHING))
         return {**infos, **{f"_{name}": self._over.copy() for name in infos}}
 

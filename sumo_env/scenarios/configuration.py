@@ -15,7 +15,7 @@ from urllib.parse import unquote
 from xml.etree import ElementTree
 
 from sumo_env.config import ConfigError
-from sumo_env.sumo.paths import is_output, plain_path
+from sumo_env.sumo.paths import is_output, listed, plain_path
 from sumo_env.traffic.sumo_schemas import schema
 
 # Short and old names of options that are read or left out here (`sumo --print-options true` lists all).
@@ -113,7 +113,7 @@ def configuration(file: Path) -> dict[str, str]:
     for name in (files | {*INPUTS}) & found.keys():
         if not is_output(name):
             several = (plain_path(_beside(file, part)) for part in found[name].split(",") if part.strip())
-            found[name] = ",".join(map(str, several))
+            found[name] = listed(*several)
     if "net-file" not in found:
         raise ConfigError(f"{file} is no configuration with a network: it has no <net-file value=.../>")
     if found.get("mesosim", "false") not in ("false", "0", "no", "off"):

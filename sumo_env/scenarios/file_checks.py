@@ -152,9 +152,8 @@ class _Reader:
             raise
         except (OSError, EOFError, LookupError, ValueError, zlib.error, expat.ExpatError) as error:
             raise ConfigError(f"{path} cannot be read: {error}") from None
-        for further in filter(
-            os.path.isfile, self._includes
-        ):  # without a word SUMO goes on without the others
+        # without a word SUMO goes on without the others
+        for further in filter(os.path.isfile, self._includes):
             if further in self._including:
                 raise ConfigError(f"{path} includes {further}, which includes it: SUMO would not end")
             _Reader(self._contents, further, self._is_network, False, self._including).read()

@@ -19,7 +19,7 @@ from sumo_env.scenarios.reward_terms import TERMS, measures_energy, terms
 from sumo_env.scenarios.risky import LACKING
 from sumo_env.scene import CLOSING, FOE, GAPS, LANE_ENDS, ON_ITS_WAY, ON_REQUEST
 from sumo_env.streams import stream
-from sumo_env.sumo.paths import is_output, plain_path
+from sumo_env.sumo.paths import is_output, listed, plain_path
 from sumo_env.sumo.settings import COLLISIONS
 from sumo_env.tasks.base import EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.risk import RiskRates
@@ -96,11 +96,8 @@ class NetworkTask(Task):
         for name, instead in NOT_ASKED.items():
             if getattr(type(self), name) is not getattr(Task, name):
                 raise ConfigError(f"{type(self).__name__}.{name} is never asked: on SUMO's files {instead}")
-        for name, word in (
-            ("ego_vehicle", ego_vehicle),
-            ("ego_type", ego_type),
-            ("vehicle_type", vehicle_type),
-        ):
+        words = {"ego_vehicle": ego_vehicle, "ego_type": ego_type, "vehicle_type": vehicle_type}
+        for name, word in words.items():
             if not isinstance(word, str | None):
                 raise ConfigError(f"{name} must be an id of SUMO's files, such as '0', not {word!r}")
         if len(set(vehicles := names_of("vehicles", vehicles))) < len(vehicles):
@@ -119,7 +116,7 @@ class NetworkTask(Task):
             options = {"net-file": str(plain_path(file))}
         drawn = self._take_routes(routes, options)
         if added := paths("additional", additional):
-            _append(options, "additional-files", added)
+            options["additional-files"] = listed(options.get("additional-files"), *added)
         self._options = options
         contents = self._contents = check_files(options)
         self._driven = files.network(options["net-file"])
@@ -180,7 +177,8 @@ class NetworkTask(Task):
         ]
         self._drawn: tuple[tuple[str, tuple[str, ...]], ...] = ()
         if named and all(are_files):
-            _append(options, "route-files", paths("routes", [way for _, way in named]))
+            added = paths("routes", [way for _, way in named])
+            options["route-files"] = listed(options.get("route-files"), *added)
             return False
         for name, way in named:
             if isinstance(way, str | Path) or not way:
@@ -354,10 +352,6 @@ def _ranges(limit: float) -> dict[str, list[float]]:
     ranges["foe_gap"] = [0.0, 2.0 * sight]  # the ego needs time to cross
     ranges |= {name: [0.0, limit] for name in ON_REQUEST[2:]}
     return {**ranges, "light": [-1.0, 2.0], **{name: [-limit, limit] for name in CLOSING}}
-
-
-def _append(options: dict[str, str], name: str, added: Sequence[Path]) -> None:
-    options[name] = ",".join(filter(None, (options.get(name, ""), *map(str, added))))
 
 
 def _frequency(step: str) -> int:

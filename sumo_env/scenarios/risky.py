@@ -26,9 +26,8 @@ def deviation(ranges: RiskRanges, dose: float, seed: int, vehicle: str, model: s
     obey right of way.
     """
     together = ONE_STREAM[1:-1]
-    drawn = dict(
-        zip(together, stream(seed, f"driver of {vehicle}").random(len(together)).tolist(), strict=True)
-    )
+    shares = stream(seed, f"driver of {vehicle}").random(len(together)).tolist()
+    drawn = dict(zip(together, shares, strict=True))
     factors = {"gives_way": float(drawn["gives_way"] >= ranges.not_giving_way * dose)}
     for name in SPREAD_PARAMETERS:
         if name not in drawn:

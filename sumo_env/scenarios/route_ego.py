@@ -58,9 +58,8 @@ class RouteEgo:
         self._removing = scenario.traffic.removing
         self._index: LaneIndex = next(iter(network.lanes))
         self._position = 0.0  # on its lane [m]
-        self._left = self._beyond = (
-            0.0  # from its front, and from the end of its lane, to the end of its way [m]
-        )
+        # from its front, and from the end of its lane, to the end of its way [m]
+        self._left = self._beyond = 0.0
         self.read_lane()
         self._odometer = float(session.vehicle.getDistance(name))  # [m]
         self._progress = Progress(self._route)

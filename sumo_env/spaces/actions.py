@@ -91,14 +91,15 @@ class DiscreteMetaAction:
         except (KeyError, TypeError):
             raise ValueError(f"action must be one of {self.names}, not {action!r}") from None
         index_of_speed = target_speed_index(name, now.ego.speed_index, now.ego.speed, self.target_speeds)
-        return EgoCommand(
-            None if self.by_sumo[0] else self.target_speeds[index_of_speed],
-            None if self.by_sumo[1] else lane_after(name, now),
-        )
+        return _commanded(self.by_sumo, self.target_speeds[index_of_speed], name, now)
 
-    def plain(self, action: Any) -> int:
-        """The index of an action."""
-        return int(action)
+
+def _commanded(
+    by_sumo: tuple[bool, bool], speed: float, change: str, now: Situation, acceleration: float | None = None
+) -> EgoCommand:
+    """The command to approach a speed [m/s] and to change lanes, but for what SUMO drives."""
+    lane = None if by_sumo[1] else lane_after(change, now)
+    return EgoCommand(None if by_sumo[0] else speed, lane, acceleration)
 
 
 def target_speed_index(action: str, index: int, speed: float, target_speeds: tuple[float, ...]) -> int:
@@ -203,16 +204,7 @@ class ContinuousAction:
         change = (
             "LANE_LEFT" if steering < -CHANGES_LANE else "LANE_RIGHT" if steering > CHANGES_LANE else "IDLE"
         )
-        return EgoCommand(
-            None if self.by_sumo[0] else speed,
-            None if self.by_sumo[1] else lane_after(change, now),
-            abs(acceleration),
-        )
-
-    def plain(self, action: Any) -> PlainAction:
-        """A number, or a tuple of both."""
-        values = tuple(map(float, action))
-        return values if len(values) > 1 else values[0]
+        return _commanded(self.by_sumo, speed, change, now, abs(acceleration))
 
     def numbers(self, actions: Any) -> NDArray[Any]:
         """Actions as numbers, shape (..., size), here one action or several; ValueError if they are none."""
@@ -261,10 +253,6 @@ class DiscreteAction(ContinuousAction):
         ends = np.ones(self.size, np.float32)
         return np.array(list(product(*np.linspace(-ends, ends, self.actions_per_axis).T)))
 
-    def plain(self, action: Any) -> int:
-        """The index of an action."""
-        return int(action)
-
     def numbers(self, actions: Any) -> NDArray[Any]:
         """The numbers that indices of actions stand for, shape (..., size); ValueError if there is none."""
         places, count = np.asarray(actions), len(self._table)
@@ -276,7 +264,7 @@ class DiscreteAction(ContinuousAction):
 # -- configuration -------------------------------------------------------------------------------------------------
 
 # Each has a `space`, the `names` of its meta-actions, and says whether it `steers`: then the ego has no target lane and
-# no target speed. `command` makes the command for a policy step; `plain` is the action for `EgoState.action`.
+# no target speed. `command` makes the command for a policy step.
 ActionType = DiscreteMetaAction | ContinuousAction
 
 
@@ -312,6 +300,14 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
         return ContinuousAction(**given)
     count = whole_number("'actions_per_axis'", action.get("actions_per_axis", 3), MOST_PER_AXIS)
     return DiscreteAction(**{**given, "actions_per_axis": count})
+
+
+def plain(action: Any) -> PlainAction:
+    """An action for `EgoState.action`: an index, a number, or a tuple of both numbers."""
+    if np.ndim(action) == 0:
+        return int(action)
+    values = tuple(map(float, action))
+    return values if len(values) > 1 else values[0]
 
 
 def _rising(what: str, given: Any, most: float = inf) -> tuple[float, ...]:

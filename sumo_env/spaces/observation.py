@@ -13,6 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of, whole_number
+from sumo_env.contacts.rectangles import state_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import (
@@ -76,16 +77,13 @@ class Kinematics:
         known = (*FEATURES, *APPROACH, *((*ON_ITS_WAY, *ON_REQUEST) if on_its_way else ()))
         self.features = tuple(one_of("observation feature", feature, known) for feature in features)
         rows = whole_number("observation 'vehicles_count'", given["vehicles_count"], MOST_VEHICLES)
-        ranges = ranges_of(
-            given["features_range"]
-            or {
-                "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
-                "y": (-4.0 * side_lanes, 4.0 * side_lanes),
-                "vx": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
-                "vy": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
-            },
-            known,
-        )
+        usual = {
+            "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
+            "y": (-4.0 * side_lanes, 4.0 * side_lanes),
+            "vx": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
+            "vy": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
+        }
+        ranges = ranges_of(given["features_range"] or usual, known)
         self.ranges = {name: RANGES[name] for name in self.features if name in RANGES} | ranges
         self.absolute, self.observe_intentions = bool(given["absolute"]), bool(given["observe_intentions"])
         for key in ("vehicles_count", "order", "normalize", "clip", "see_behind"):
@@ -138,7 +136,7 @@ class Kinematics:
     def observe(self, seen: Situation) -> Array:
         """The table, float32 of shape (vehicles_count, features), rows without a vehicle are zero."""
         rows = self.visible(seen.scene, seen.road, seen.ego.lane)
-        columns = self.columns(seen.scene, seen.road, rows, seen.specs)
+        columns = self.columns(seen, rows)
         values = np.array([columns[feature] for feature in self.features]).T
         form = self.form
         values[1:] -= values[0] * form.relative
@@ -153,14 +151,10 @@ class Kinematics:
             seen.rng.shuffle(table[1:])
         return table
 
-    def columns(
-        self, scene: Scene, road: Road, rows: list[int], specs: Mapping[str, VehicleSpec]
-    ) -> dict[str, Sequence[float]]:
+    def columns(self, seen: Situation, rows: list[int]) -> dict[str, Sequence[float]]:
         """Values of all features of these rows of the scene; plain floats, because the rows are few."""
-        x, y, speed, heading = (
-            [values[row] for row in rows]
-            for values in (scene.x.tolist(), scene.y.tolist(), scene.speed.tolist(), scene.heading.tolist())
-        )
+        scene, road, specs = seen.scene, seen.road, seen.specs
+        x, y, speed, heading = map(list, zip(*(state_of(scene, row) for row in rows), strict=True))
         own = heading[0]
         if self._own_axes:
             places = [_rotated(a - x[0], b - y[0], -own) for a, b in zip(x, y, strict=True)]
@@ -179,25 +173,18 @@ class Kinematics:
         }
         if any(feature in _DIRECTION for feature in self.features):
             # the ego knows its own destination; those of the others are observed only with observe_intentions
-            columns["cos_d"], columns["sin_d"] = zip(
-                *[
-                    destination_direction(scene, road, row, specs.get(scene.ids[row]))
-                    if row == 0 or self.observe_intentions
-                    else (0.0, 0.0)
-                    for row in rows
-                ],
-                strict=True,
-            )
+            known = {row: specs.get(scene.ids[row]) for row in rows if row == 0 or self.observe_intentions}
+            ends = [destination_direction(scene, road, row, known.get(row)) for row in rows]
             if self._own_axes:
-                ends = zip(columns["cos_d"], columns["sin_d"], strict=True)
-                columns["cos_d"], columns["sin_d"] = zip(*[_rotated(*end, -own) for end in ends], strict=True)
+                ends = [_rotated(*end, -own) for end in ends]
+            columns["cos_d"], columns["sin_d"] = zip(*ends, strict=True)
         if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
         if any(feature in APPROACH for feature in self.features):
             ego, *others = zip(*(columns[name] for name in RELATIVE), strict=True)
-            seen = (map(sub, other, ego) for other in (ego, *others))
-            columns |= zip(APPROACH, zip(*(approach(*row) for row in seen), strict=True), strict=True)
+            apart = (map(sub, other, ego) for other in (ego, *others))
+            columns |= zip(APPROACH, zip(*(approach(*row) for row in apart), strict=True), strict=True)
         if any(feature in (*ON_ITS_WAY, *ON_REQUEST) for feature in self.features):
             nobody = [0.0] * (len(rows) - 1)
             columns |= {name: [value, *nobody] for name, value in on_its_way(scene).items()}
@@ -205,7 +192,7 @@ class Kinematics:
 
     @staticmethod
     def _offsets(scene: Scene, road: Road, row: int) -> tuple[float, float, float]:
-        x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
+        x, y, _, heading = state_of(scene, row)
         lane = road.lane(road.closest_lane(x, y, heading))
         s, lateral = lane.local_coordinates(x, y)
         return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
@@ -283,7 +270,7 @@ def destination_direction(
     goal = spec.destination
     at_goal = spec.lane[1] == goal
     lane = road.lane(spec.lane if at_goal else next(index for index in road.lanes if index[1] == goal))
-    x, y = float(scene.x[row]), float(scene.y[row])
+    x, y, _, _ = state_of(scene, row)
     s, lateral = lane.local_coordinates(x, y)
     if s > lane.length - VEHICLE_LENGTH / 2 and abs(lateral) <= lane.width:
         return 0.0, 0.0
@@ -317,12 +304,11 @@ class TimeToCollision:
         lanes = road.count(*ego.lane[:2])
         grid = np.zeros((len(seen.target_speeds), lanes, self.steps))
         geometry = road.lane(ego.lane)
-        here = geometry.local_coordinates(float(scene.x[0]), float(scene.y[0]))[0]
+        here = geometry.local_coordinates(*state_of(scene, 0)[:2])[0]
         for row in range(1, len(scene)):
             if is_obstacle(scene.ids[row]):
                 continue
-            x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
-            speed = float(scene.speed[row])
+            x, y, speed, heading = state_of(scene, row)
             projected = speed * math.cos(heading - ego.heading)
             distance = geometry.local_coordinates(x, y)[0] - here
             fastest = max(abs(own - projected) for own in seen.target_speeds)

@@ -68,10 +68,9 @@ class OccupancyGrid:
         """The grid, float32 (or uint8 `as_image`) of shape (features, cells along x, cells along y)."""
         scene, road, before_ego = seen.scene, seen.road, seen.before_ego
         rows = [row for row, name in enumerate(scene.ids) if not is_obstacle(name)]
-        columns = self._table.columns(scene, road, rows, seen.specs)
+        columns = self._table.columns(seen, rows)
         x, y = np.array(columns["x"]), np.array(columns["y"])
-        first, second = self._cells(scene, x - x[0], y - y[0])
-        inside = (first >= 0) & (first < self.shape[1]) & (second >= 0) & (second < self.shape[2])
+        cells, inside = self._cells(scene, x - x[0], y - y[0])
         order = [*range(1, before_ego + 1), 0, *range(before_ego + 1, len(rows))]
         grid = np.full(self.shape, np.nan)
         for layer, feature in enumerate(self.features):
@@ -86,24 +85,21 @@ class OccupancyGrid:
                 values = -1.0 + (values - low) * 2.0 / (high - low)
             for row in reversed(order):
                 if inside[row]:
-                    grid[layer, first[row], second[row]] = values[row]
+                    grid[layer, *cells[:, row]] = values[row]
         if self._clip or self._is_image:
             grid = np.clip(grid, -1.0, 1.0)
         if self._is_image:  # 0 is 127 here, and nothing is 0
             return np.nan_to_num((grid + 1.0) / 2.0 * 255.0).astype(np.uint8)
         return np.nan_to_num(grid).astype(np.float32)
 
-    def _cells(self, scene: Scene, dx: Any, dy: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The cells of points at (dx, dy) [m] from the ego, which may be outside the grid."""
+    def _cells(self, scene: Scene, dx: Any, dy: Any) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """The cells of points at (dx, dy) [m] from the ego, shape (2, n), and whether they are inside the grid."""
         if self._aligned:
             heading = float(scene.heading[0])
             c, s = math.cos(heading), math.sin(heading)
             dx, dy = c * dx + s * dy, c * dy - s * dx
-        (left, _), (top, _) = self.size.tolist()
-        return (
-            np.floor((dx - left) / self.step[0]).astype(np.int64),
-            np.floor((dy - top) / self.step[1]).astype(np.int64),
-        )
+        cells = np.floor((np.array((dx, dy)) - self.size[:, :1]) / self.step[:, None]).astype(np.int64)
+        return cells, ((cells >= 0) & (cells < np.array(self.shape[1:])[:, None])).all(axis=0)
 
     def _draw_road(self, layer: NDArray[np.float64], scene: Scene, road: Road) -> None:
         """Write 1 where points of a lane's middle are (``fill_road_layer_by_lanes``)."""
@@ -113,6 +109,5 @@ class OccupancyGrid:
             here = lane.local_coordinates(x, y)[0]
             places = np.arange(here - AROUND, here + AROUND, self.step.min()).clip(0.0, lane.length)
             points += [lane.position(s, 0.0) for s in places.tolist()]
-        first, second = self._cells(scene, *(np.array(points).reshape(-1, 2) - (x, y)).T)
-        inside = (first >= 0) & (first < layer.shape[0]) & (second >= 0) & (second < layer.shape[1])
+        (first, second), inside = self._cells(scene, *(np.array(points).reshape(-1, 2) - (x, y)).T)
         layer[first[inside], second[inside]] = 1.0

@@ -7,8 +7,6 @@ regular driver.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.simulator import LANE_ENDED, EgoCommand
@@ -128,18 +126,12 @@ class Ego:
         of.changeLaneRelative(name, -1, 0.0)
 
 
-@lru_cache(maxsize=32)
-def _kept(tau: float, dt: float) -> float:
-    """Share of a difference of speeds that is left after `dt` [s]."""
-    return (1.0 - REFERENCE_STEP / tau) ** (dt / REFERENCE_STEP)
-
-
 def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float, float]:
     """Speed [m/s] after `dt` [s] of first-order lag `tau` [s], and the distance covered [m].
 
     highway-env integrates v' = (target - v) / tau by explicit Euler at 15 Hz; speed and distance are those at any `dt`.
     """
-    kept = _kept(tau, dt)
+    kept = (1.0 - REFERENCE_STEP / tau) ** (dt / REFERENCE_STEP)  # share of the difference that is left
     difference = speed - target
     return target + difference * kept, target * dt + difference * tau * (1.0 - kept)
 

@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from sumo_env.contacts.rectangles import state_of
 from sumo_env.networks.mapping import Network, SumoLane
 from sumo_env.scene import Scene
 from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
@@ -52,8 +53,7 @@ def write(
     road = scenario.network
     step = round((scenes[1].time if len(scenes) > 1 else 1.0 / scenario.simulation_frequency), 3)
     if recorded is None:
-        specs = {spec.id: spec for spec in scenario.everybody}
-        ways = _floating_car_data(road, specs, scenes, step)
+        ways = _floating_car_data(scenario, scenes, step)
     else:
         ways = _of_sumo(road, recorded, scenes, step)
     sizes = {size for scene in scenes for size in scene.sizes.values()}
@@ -81,15 +81,14 @@ def write(
     return [folder / name for name in (inputs["net-file"], *contents)]
 
 
-def _floating_car_data(
-    road: Network, specs: Mapping[str, VehicleSpec], scenes: Sequence[Scene], step: float
-) -> ElementTree.Element:
-    """Ways of these vehicles, as SUMO's device fcd-replay reads them."""
+def _floating_car_data(scenario: Scenario, scenes: Sequence[Scene], step: float) -> ElementTree.Element:
+    """Ways of the vehicles of a scenario, as SUMO's device fcd-replay reads them."""
+    road = scenario.network
     by_edge: dict[str, list[SumoLane]] = {}
     for lane in road.sumo_lanes.values():
         by_edge.setdefault(lane.id.rpartition("_")[0], []).append(lane)
     seen = {name for scene in scenes for name in scene.ids}
-    ways = {name: _Way(road, spec, by_edge) for name, spec in specs.items() if name in seen}
+    ways = {spec.id: _Way(road, spec, by_edge) for spec in scenario.everybody if spec.id in seen}
     shown = _colours(scenes)
     root = ElementTree.Element("fcd-export")
     for number, scene in enumerate(scenes):
@@ -97,10 +96,9 @@ def _floating_car_data(
         for row, name in enumerate(scene.ids):
             if name not in ways:
                 continue
-            heading = float(scene.heading[row])
+            x, y, speed, heading = state_of(scene, row)
             half = scene.size(name)[0] / 2
-            x = float(scene.x[row]) + half * math.cos(heading)
-            y = float(scene.y[row]) + half * math.sin(heading)
+            x, y = x + half * math.cos(heading), y + half * math.sin(heading)
             lane_id, position = ways[name].locate(x, y)
             kind = _type(shown.get(name, "car"), scene.sizes.get(name))
             ElementTree.SubElement(
@@ -111,7 +109,7 @@ def _floating_car_data(
                 y=f"{-y:.3f}",
                 angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}",
                 type=kind,
-                speed=f"{float(scene.speed[row]):.3f}",
+                speed=f"{speed:.3f}",
                 pos=f"{position:.3f}",
                 lane=lane_id,
                 slope="0",

@@ -31,7 +31,7 @@ class Car:
     def __init__(self, session: Session, name: str, ego: Any, meeting: Meeting | None) -> None:
         """See `Surroundings`."""
         self.name, self.ego, self.is_commanded = name, ego, False
-        self.around = Surroundings(session, ego.speed, meeting, ego=name)
+        self.around = Surroundings(session, name, ego.speed, meeting)
         self._session, self._detector = session, CrashDetector()
         self._least_ttc, self.distance = inf, 0.0
 
@@ -52,22 +52,17 @@ class Car:
         around, detector, name, ego = self.around, self._detector, self.name, self.ego
         seen, before = around.ego, around.near
         around.update(time, ego.speed, commanded)
-        partners: Collection[str] = ()  # whom SUMO reports in collision with this car
-        if reported:
-            partners = {one if other == name else other for one, other in reported if name in (one, other)}
+        # whom SUMO reports in collision with this car
+        partners = {one if other == name else other for one, other in reported if name in (one, other)}
         ids, found = around.within_reach(seen, before, dt, partners), None
         if ids and not ego.overlaps_count:
             ids = self._without_overlaps(ids, seen, before, partners)
         if ids or reported or detector.reported:
-            crash = detector.detect(
-                time,
-                dt,
-                (name, *ids),
-                (seen, *[before[other] for other in ids]),
-                (around.ego, *[around.near[other] for other in ids]),
-                partners,
-                self._session.halves((name, *ids)),
-            )
+            everybody = name, *ids
+            then = seen, *[before[other] for other in ids]
+            now = around.ego, *[around.near[other] for other in ids]
+            halves = self._session.halves(everybody)
+            crash = detector.detect(time, dt, everybody, then, now, partners, halves)
             if crash is not None and not ego.vehicle.crashed:
                 ego.vehicle.crash(ego.speed)
                 found = crash

@@ -18,7 +18,6 @@ from sumo_env.contacts.rectangles import DIAGONAL, Half, State, reach_of, separa
 from sumo_env.networks.meeting import Meeting, Spot, edge_of
 from sumo_env.scene import NOBODY, PERCEPTION_DISTANCE, Neighbour
 from sumo_env.sumo.session import Session
-from sumo_env.traffic.scenario import EGO
 
 FASTEST = 200.0  # [m/s] no two vehicles close in faster
 NOWHERE = 1e8  # [m] so far away are those that SUMO is teleporting, which may be back at any time
@@ -33,9 +32,7 @@ class Surroundings:
     meeting: which vehicles can meet on the network; None where all can.
     """
 
-    def __init__(
-        self, session: Session, speed: float, meeting: Meeting | None = None, *, ego: str = EGO
-    ) -> None:
+    def __init__(self, session: Session, ego: str, speed: float, meeting: Meeting | None) -> None:
         self._session, self._name, self._meeting = session, ego, meeting
         self._spot: Spot | None = None  # the ego's, once asked for
         self._lanes: dict[str, str] = {}  # of the ego and of those near it, on networks with a `meeting`
@@ -91,7 +88,7 @@ class Surroundings:
         return least
 
     def within_reach(
-        self, ego: State, before: dict[str, State], dt: float, reported: Collection[str] = ()
+        self, ego: State, before: dict[str, State], dt: float, reported: Collection[str]
     ) -> list[str]:
         """Who may have touched the ego in the last `dt` [s], or nearly; `ego` and `before` are the states then.
 

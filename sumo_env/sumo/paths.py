@@ -65,6 +65,11 @@ def written(options: dict[str, str]) -> list[str]:
     return [name for name, value in options.items() if is_output(name) and value not in NO_FILES]
 
 
+def listed(*files: str | Path | None) -> str:
+    """Files as one option of SUMO names them; there may be none in a place."""
+    return ",".join(str(file) for file in files if file)
+
+
 def plain_path(path: Path) -> Path:
     """A path to a file that SUMO understands: to it a comma ends a name, and ``${...}`` is a variable.
 

@@ -193,9 +193,8 @@ class SumoProcess:
 
     def _end(self, grace: float = GRACE) -> None:
         if self._host is not None:
-            if (
-                self._forgotten.detach()
-            ):  # else the interpreter's exit has seen to it before a destructor comes
+            # else the interpreter's exit has seen to it before a destructor comes
+            if self._forgotten.detach():
                 self._host.end(grace)
             self._host = None
 

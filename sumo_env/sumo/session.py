@@ -16,7 +16,7 @@ from sumo_env.contacts.rectangles import CAR, HALF_LENGTH, Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, LETTERS, NO_LIGHT, PERCEPTION_DISTANCE, TURN, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
-from sumo_env.sumo.paths import plain_path, temporary_folder
+from sumo_env.sumo.paths import listed, plain_path, temporary_folder
 from sumo_env.sumo.settings import Settings
 
 # Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
@@ -69,8 +69,7 @@ class Session:
             if settings.elements:
                 written = Path(folder) / "elements.add.xml"
                 written.write_text(settings.elements, encoding="utf-8")
-                added = (str(written), values.get("additional-files", ""))
-                values["additional-files"] = ",".join(filter(None, added))
+                values["additional-files"] = listed(written, values.get("additional-files"))
             options = [f"--{name}={value}" for name, value in values.items()]
             if self.sumo.isLoaded():
                 self.sumo.load(options)
@@ -207,18 +206,14 @@ class Session:
 
     def lanes_ahead(self, name: str) -> list[tuple[str, float, bool]]:
         """Lanes of a vehicle's edge from SUMO's lane 0 on: id, length [m], whether its route goes on from there."""
-        best = self.vehicle.getBestLanes(name)
-        return [
-            (lane, float(self.sumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best
-        ]
+        length, best = self.sumo.lane.getLength, self.vehicle.getBestLanes(name)
+        return [(lane, float(length(lane)), bool(leads)) for lane, _, _, _, leads, _ in best]
 
     def may_change(self, lane: str, beside: str, vehicles: str) -> bool:
         """Whether a class of vehicles may change between two lanes that lie side by side."""
         side = 1 if int(beside.rpartition("_")[2]) > int(lane.rpartition("_")[2]) else -1
-        allowed = self.sumo.lane.getAllowed(beside)
-        return (not allowed or vehicles in allowed) and vehicles in self.sumo.lane.getChangePermissions(
-            lane, side
-        )
+        of, allowed = self.sumo.lane, self.sumo.lane.getAllowed(beside)
+        return (not allowed or vehicles in allowed) and vehicles in of.getChangePermissions(lane, side)
 
     def lights(self, name: str) -> list[Light]:
         """The traffic lights on a vehicle's way as far as it sees, the nearest first, and the next one in any case."""
@@ -281,8 +276,6 @@ class Session:
     def read(self, names: Iterable[str]) -> dict[str, State]:
         """States of these vehicles, in this order."""
         position, angle, speed = self.vehicle.getPosition, self._angle, self.vehicle.getSpeed
-        if not self.sizes:
-            return {name: _state(position(name), angle(name), speed(name)) for name in names}
         return {name: _state(position(name), angle(name), speed(name), self.half(name)) for name in names}
 
     def halves(self, names: Iterable[str]) -> list[Half]:

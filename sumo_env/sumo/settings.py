@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from sumo_env.sumo.paths import prefix, written
+from sumo_env.networks.mapping import Network
+from sumo_env.sumo.paths import listed, prefix, written
 from sumo_env.sumo.user_options import OUTPUT_DIR
 from sumo_env.traffic.scenario import Scenario
 
@@ -41,20 +42,16 @@ class Settings:
 
 
 def placed_settings(
-    net_file: Path,
-    routes: Iterable[tuple[str, tuple[str, ...]]],
-    step_length: float,
-    vehicle_types: Iterable[tuple[str, Mapping[str, str]]],
-    further: Mapping[str, str],
+    network: Network, step_length: float, types: Mapping[str, Mapping[str, str]], further: Mapping[str, str]
 ) -> Settings:
-    """Settings for vehicles that this package places itself; routes and types by their ids, further options."""
+    """Settings for vehicles that this package places itself, of these types; further: options that a user adds."""
     root = ElementTree.Element("additional")
-    for name, attributes in vehicle_types:
+    for name, attributes in types.items():
         ElementTree.SubElement(root, "vType", {"id": name, **attributes})
-    for name, edges in routes:
+    for name, edges in network.routes.items():
         ElementTree.SubElement(root, "route", {"id": name, "edges": " ".join(edges)})
     options = {
-        "net-file": str(net_file),
+        "net-file": str(network.net_file),
         "step-length": f"{step_length:.6g}",
         "lanechange.duration": f"{LANE_CHANGE_DURATION:g}",
         **COLLISIONS,
@@ -64,7 +61,7 @@ def placed_settings(
         **UNCHECKED,
         **SILENT,
         "seed": "42",  # nobody draws, unless `leaves_traces`
-        **further,
+        **{name: value for name, value in further.items() if name != OUTPUT_DIR},
     }
     return Settings(step_length, options, ElementTree.tostring(root, "unicode"))
 
@@ -78,9 +75,8 @@ def file_settings(scenario: Scenario, further: Mapping[str, str], outputs: Path 
     assert scenario.traffic is not None
     given = dict(further)
     options = {**USUAL, **dict(scenario.traffic.options)}
-    added = (options.get("additional-files", ""), given.pop("additional-files", ""))
-    if any(added):
-        options["additional-files"] = ",".join(filter(None, added))
+    if added := listed(options.get("additional-files"), given.pop("additional-files", None)):
+        options["additional-files"] = added
     all_are_wanted = given.pop(OUTPUT_DIR, None)
     if outputs is not None and not all_are_wanted:  # but those that the user names
         for name in written(given):

@@ -31,9 +31,8 @@ from sumo_env.sumo.settings import Settings, leaves_traces, placed_settings
 from sumo_env.sumo.user_options import LIVE, OUTPUT_DIR
 from sumo_env.sumo.vehicle import OF_SUMO, Vehicle, modes
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
-from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
+from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, EXIT_LENGTH, Scenario, VehicleSpec, fits
 
-EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 MOST_KEPT = 1024  # vehicle types that stay loaded between episodes
 GONE = ("arrived", "removed")  # how a car's way may have ended off the road
 
@@ -176,13 +175,8 @@ class SumoSimulator:
         if len(self._kept) > MOST_KEPT:
             self._kept = {}
         self._drivers = self._kept | wanted
-        self._loaded = placed_settings(
-            self._network.net_file,
-            self._network.routes.items(),
-            self._dt,
-            [(name, vehicle_type(driver, scenario.calibration)) for name, driver in self._drivers.items()],
-            {name: value for name, value in self._options.items() if name != OUTPUT_DIR},
-        )
+        types = {name: vehicle_type(driver, scenario.calibration) for name, driver in self._drivers.items()}
+        self._loaded = placed_settings(self._network, self._dt, types, self._options)
         return self._loaded
 
     def _place(self, spec: VehicleSpec) -> None:
@@ -324,15 +318,13 @@ class SumoSimulator:
         if len(present) != len(self._road):
             for name in set(self._road).difference(present):
                 self._forget(name)
-        if not self._network.road.clears_exits:
+        road = self._network.road
+        if not road.clears_exits:
             return
-        for name, state in self._session.read(n for n in self._road if n not in commands).items():
-            start, end, place = self._network.indices[self._session.vehicle.getLaneID(name)]
-            lane = self._network.road.lane((start, end, place))
-            if (
-                end in self._network.road.ends
-                and lane.local_coordinates(state[0], state[1])[0] >= lane.length - EXIT_LENGTH
-            ):
+        for name, (x, y, _, _) in self._session.read(n for n in self._road if n not in commands).items():
+            index = self._network.indices[self._session.vehicle.getLaneID(name)]
+            lane = road.lane(index)
+            if index[1] in road.ends and lane.local_coordinates(x, y)[0] >= lane.length - EXIT_LENGTH:
                 self._remove(name)
 
     def _let_in(self) -> None:

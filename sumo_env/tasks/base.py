@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
-from sumo_env.config import MEASURED, Config, ConfigError, is_number, pace, plain, simulated_frequency
+from sumo_env.config import MEASURED, Config, ConfigError, is_number, pace, plain
 from sumo_env.networks.roads import LaneIndex, Road, is_shipped
 from sumo_env.scene import OBSTACLE, Place, Scene
 from sumo_env.streams import Random, stream
@@ -112,8 +112,11 @@ class Task:
         raise NotImplementedError
 
     def frequency(self, config: Config) -> int:
-        """Steps that are simulated per second [Hz]."""
-        return simulated_frequency(config)
+        """Steps that are simulated per second [Hz]: ``simulation_frequency``, or its first multiple of at least 5.
+
+        With longer steps, cars would pass through each other.
+        """
+        return int(config["simulation_frequency"]) * math.ceil(5 / config["simulation_frequency"])
 
     def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         """The ego at the start."""
@@ -181,10 +184,8 @@ class Task:
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
         """Whether the episode is over, apart from its time."""
-        off_road = (
-            "offroad_terminal" in self.defaults and bool(config["offroad_terminal"]) and not ego.on_road
-        )
-        return ego.crashed or off_road or self.arrived(ego)
+        ends_off_road = "offroad_terminal" in self.defaults and bool(config["offroad_terminal"])
+        return ego.crashed or (ends_off_road and not ego.on_road) or self.arrived(ego)
 
     def events(
         self, config: Config, vehicles: Iterable[VehicleSpec], spawns: Iterable[Spawn], seed: int

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import exp
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from sumo_env.networks.roads import LaneIndex, Road, exit_road
 from sumo_env.scene import PERCEPTION_DISTANCE
 from sumo_env.streams import Random
 from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.tasks.highway import gap
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -69,8 +69,8 @@ class Exit(Task):
         return exit_road(lanes_count=int(config["lanes_count"]))
 
     def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
-        gap = _spacing(SPEED, config["ego_spacing"], road)
-        s = 3.0 * gap + gap * rng.uniform(0.9, 1.1)
+        spacing = gap(SPEED, config["ego_spacing"], road.count(*START))
+        s = 3.0 * spacing + spacing * rng.uniform(0.9, 1.1)
         return make_on_lane(road, EGO, (*START, 0), s, SPEED, ego_driver(self))
 
     def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
@@ -112,10 +112,5 @@ def places(config: Config, road: Road, s: float, rng: Random) -> Iterator[tuple[
     for _ in range(int(config["vehicles_count"])):
         lane = (*START, int(rng.choice(numbers, p=numbers / numbers.sum())))
         speed = road.lane(lane).speed_limit
-        s += _spacing(speed, 1 / config["vehicles_density"], road) * rng.uniform(0.9, 1.1)
+        s += gap(speed, 1 / config["vehicles_density"], len(numbers)) * rng.uniform(0.9, 1.1)
         yield lane, s, speed
-
-
-def _spacing(speed: float, spacing: float, road: Road) -> float:
-    """``Vehicle.create_random``: mean distance to the vehicle behind [m]."""
-    return spacing * (12.0 + speed) * exp(-5 / 40 * road.count(*START))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, highway
-from sumo_env.scene import MAX_SPEED, PERCEPTION_DISTANCE, Floats
+from sumo_env.scene import MAX_SPEED, PERCEPTION_DISTANCE
 from sumo_env.streams import Random
 from sumo_env.tasks.base import Drivers, EgoState, Specs, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration
@@ -65,8 +66,7 @@ class Highway(Task):
 
     def ego(self, config: Config, road: Road, rng: Random) -> VehicleSpec:
         lane = first_lane(config, rng)
-        spacing = float(_spacing(np.array(25.0), config["ego_spacing"], config))
-        s = spacing * (3.0 + rng.uniform(0.9, 1.1))
+        s = gap(25.0, config["ego_spacing"], config["lanes_count"]) * (3.0 + rng.uniform(0.9, 1.1))
         return make_on_lane(road, EGO, lane, s, 25.0, ego_driver(self))
 
     def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
@@ -75,7 +75,7 @@ class Highway(Task):
         lanes = rng.integers(config["lanes_count"], size=count)
         speeds = rng.uniform(21.0, 24.0, size=count)  # 0.7 to 0.8 of the speed limit
         jitter = rng.uniform(0.9, 1.1, size=count)
-        gaps = _spacing(speeds, 1.0 / config["vehicles_density"], config) * jitter
+        gaps = gap(speeds, 1.0 / config["vehicles_density"], config["lanes_count"]) * jitter
         places = np.cumsum(np.append(ego.s, gaps))[1:]
         reach = ego.s + self._reach(config)
         vehicles = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)
@@ -100,7 +100,7 @@ class Highway(Task):
     ) -> Specs:
         # ``HighwayEnv._create_vehicles``: ahead of each learning car an even share of the others, then the next one
         placed, last, shift, done = [], ego, 0.0, 0
-        spacing = float(_spacing(np.array(25.0), config["ego_spacing"], config))
+        spacing = gap(25.0, config["ego_spacing"], config["lanes_count"])
         for number, share in enumerate(map(len, np.array_split(range(len(vehicles)), count))):
             if number:
                 shift += spacing * rng.uniform(0.9, 1.1)
@@ -138,6 +138,6 @@ def _moved(road: Road, spec: VehicleSpec, by: float) -> VehicleSpec:
     return make_on_lane(road, spec.id, spec.lane, spec.s + by, spec.speed, spec.driver) if by else spec
 
 
-def _spacing(speed: Floats, spacing: float, config: Config) -> Floats:
-    """Distance to the previous vehicle [m], before jitter, by speed [m/s]; it shrinks with the number of lanes."""
-    return spacing * (12.0 + 1.0 * speed) * math.exp(-5.0 / 40.0 * config["lanes_count"])
+def gap(speed: Any, spacing: float, lanes: int) -> Any:
+    """``Vehicle.create_random``: mean distance to the vehicle behind [m] by speed [m/s]; it shrinks with the lanes."""
+    return spacing * (12.0 + speed) * math.exp(-5.0 / 40.0 * lanes)

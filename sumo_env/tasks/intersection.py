@@ -155,12 +155,5 @@ def _attempt(
         goal, place, speed = (start + 2) % 4, 0.1 * place, 0.0
     if not success:
         return None
-    return make_on_lane(
-        road,
-        id,
-        (f"o{start}", f"ir{start}", 0),
-        longitudinal + 5.0 + place,
-        8.0 + speed,
-        driver,
-        destination=f"o{goal}",
-    )
+    lane, s = (f"o{start}", f"ir{start}", 0), longitudinal + 5.0 + place
+    return make_on_lane(road, id, lane, s, 8.0 + speed, driver, destination=f"o{goal}")

@@ -12,7 +12,7 @@ from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
 SLOTS = ((90.0, 29.0), (70.0, 31.0), (5.0, 31.5))  # s [m], speed [m/s] of the others on the two lanes
-DEVIATIONS = 5.0, 1.0  # [m], [m/s]
+S_DEVIATION, SPEED_DEVIATION = 5.0, 1.0  # [m], [m/s]
 MERGING = "merging"  # the car on the ramp
 RAMP, RAMP_END = ("j", "k", 0), ("b", "c", 2)
 WANTED = 30.0  # [m/s] that it would like to drive; its lanes' limit is 20 m/s
@@ -84,9 +84,8 @@ def places(rng: Random) -> list[tuple[LaneIndex, float, float]]:
     drawn = []
     for s, speed in SLOTS:
         lane = ("a", "b", int(rng.integers(2)))
-        s, speed = (
-            value + float(rng.uniform(-by, by)) for value, by in zip((s, speed), DEVIATIONS, strict=True)
-        )
+        s += float(rng.uniform(-S_DEVIATION, S_DEVIATION))
+        speed += float(rng.uniform(-SPEED_DEVIATION, SPEED_DEVIATION))
         drawn.append((lane, s, speed))
     return drawn
 

@@ -70,20 +70,14 @@ class UTurn(Task):
         count = int(config["vehicles_count"])
         if count > len(SLOTS):
             raise ConfigError(f"'vehicles_count' of the u-turn is at most {len(SLOTS)}, not {count}")
-        deviations = rng.normal(size=(len(SLOTS), 2)) * 2.0
-        return [
-            make_on_lane(
-                road,
-                f"v{k}",
-                lane,
-                s + float(deviations[k, 0]),
-                max(speed + float(deviations[k, 1]), 0.0),
-                # highway-env calls randomize_behavior on the first vehicle only
-                drivers.next(fixed_delta=k > 0),
-                destination="d",
-            )
-            for k, (lane, s, speed) in enumerate(SLOTS[:count])
-        ]
+        deviations = (rng.normal(size=(len(SLOTS), 2)) * 2.0).tolist()
+        vehicles = []
+        for k, (lane, s, speed) in enumerate(SLOTS[:count]):
+            s, speed = s + deviations[k][0], max(speed + deviations[k][1], 0.0)
+            # highway-env calls randomize_behavior on the first vehicle only
+            driver = drivers.next(fixed_delta=k > 0)
+            vehicles.append(make_on_lane(road, f"v{k}", lane, s, speed, driver, destination="d"))
+        return vehicles
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         return {

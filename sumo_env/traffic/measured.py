@@ -93,9 +93,8 @@ class MeasuredPool(NamedTuple):
 
     def driving(self, scenario: Scenario) -> Scenario:
         """The scenario with the drivers of the same numbers, uncalibrated; drivers of no pool stay."""
-        number = {driver.type: k for pool in scenario.pools for k, driver in enumerate(pool.drivers)}
+        pairs = (zip(pool.drivers, self.drivers, strict=True) for pool in scenario.pools)
+        measured = {own.type: driver for pair in pairs for own, driver in pair}
         calibration = Calibration(lane_changes=scenario.calibration.lane_changes)
-        drawn = scenario.with_drivers(
-            lambda own: self.drivers[number[own.type]] if own.type in number else own
-        )
+        drawn = scenario.with_drivers(lambda own: measured.get(own.type, own))
         return replace(drawn, calibration=calibration, pools=())

@@ -136,14 +136,10 @@ def draw_events(
     if dose <= 0.0:
         return ()
     rng = stream(seed, purpose)
-    kinds: tuple[tuple[Kind, float], ...] = (
-        ("cut-in", rates.cut_in),
-        ("brake", rates.brake),
-        ("surge", rates.surge),
-    )
+    kinds: dict[Kind, float] = {"cut-in": rates.cut_in, "brake": rates.brake, "surge": rates.surge}
     more_of, events = pushes(rates), list[RiskEvent]()
     for vehicle, start in vehicles:
-        for kind, rate in kinds:
+        for kind, rate in kinds.items():
             for _ in range(rng.poisson(rate * duration)):
                 time, keep, side = rng.random(3)
                 time *= duration

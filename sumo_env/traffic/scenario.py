@@ -31,6 +31,7 @@ EGO = "ego"
 NO_EVENTS = RiskRates()
 SPAWN_DISTANCE = 15.0  # [m] between centres when a vehicle is added (IntersectionEnv._spawn_vehicle)
 EGO_DISTANCE = 20.0  # [m] vehicles closer than this to the ego are removed when it is placed after a warm-up
+EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 
 
 class VehicleSpec(NamedTuple):  # dozens are made in every episode, a dataclass takes five times as long

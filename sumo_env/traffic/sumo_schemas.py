@@ -52,9 +52,8 @@ def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
         ValueError: it does not; the message names the nearest one, or what a value may be.
     """
     kinds = schema("route")
-    known = kinds.get(
-        "vTypeBaseType", {}
-    )  # of all models; empty without a schema, as these, of which it lacks two:
+    # of all models; empty without a schema, as these, of which it lacks two:
+    known = kinds.get("vTypeBaseType", {})
     models = {key.removeprefix(_MODEL): kinds[kind] for key, kind in known.items() if key.startswith(_MODEL)}
     models |= {"Rail": {}, "KraussX": {}} if models else {}
     model = str(attributes.get("carFollowModel", "IDM"))

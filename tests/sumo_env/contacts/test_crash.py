@@ -11,7 +11,7 @@ import pytest
 from sumo_env.contacts.crash import CrashDetector, CrashRecord, classify, crash_record, is_confirmed
 from sumo_env.scene import Scene
 
-from .shapes import state
+from .shapes import CAR, state
 
 
 @pytest.mark.parametrize(
@@ -53,10 +53,10 @@ IDS = ("ego", "v0", "v1")
 FAR = state(100.0, 0.0)
 
 
-def look(detector: CrashDetector, before, after, reported=(), time=2.0, halves=()) -> CrashRecord | None:
+def look(detector, before, after, reported=(), time=2.0, halves=(CAR,) * 3) -> CrashRecord | None:
     """One sub-step of 0.1 s in which the ego drives from x = 0 to x = 2 m."""
     first, last = [state(0.0, 0.0, 0.0, 20.0), *before], [state(2.0, 0.0, 0.0, 20.0), *after]
-    return detector.detect(time, 0.1, IDS[: len(first)], first, last, reported, halves)
+    return detector.detect(time, 0.1, IDS[: len(first)], first, last, reported, halves[: len(first)])
 
 
 def test_the_geometry_alone_makes_a_crash_of_the_moment_of_the_touch() -> None:

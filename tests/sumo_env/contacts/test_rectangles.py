@@ -121,9 +121,9 @@ def test_turning_the_short_way_through_the_half_turn() -> None:
 def test_the_first_touch_is_that_of_the_vehicle_that_is_met_first() -> None:
     ego, ego_after = state(0.0, 0.0), state(4.0, 0.0)
     others = [state(50.0, 0.0), state(8.0, 0.0), state(7.0, 1.0), state(0.0, 4.0)]
-    assert first_touch(ego, ego_after, others, others) == (2, pytest.approx(0.5))
-    assert first_touch(ego, ego_after, others[:1], others[:1]) is None
-    assert first_touch(ego, ego_after, [], []) is None
+    assert first_touch(ego, ego_after, others, others, [CAR] * 4, CAR) == (2, pytest.approx(0.5))
+    assert first_touch(ego, ego_after, others[:1], others[:1], [CAR], CAR) is None
+    assert first_touch(ego, ego_after, [], [], [], CAR) is None
 
 
 def test_the_state_between_is_that_of_the_moment() -> None:

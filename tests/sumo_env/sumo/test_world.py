@@ -325,7 +325,7 @@ def test_whoever_is_near_is_seen_and_who_is_far_is_rarely_looked_at(seed: int) -
     module = SimpleNamespace(vehicle=vehicle, simulation=simulation, simulationStep=lambda: None)
     session = Session(Engine(module, list, "", {}, ()))
     session._angle = vehicle.getAngle
-    around = Surroundings(session, 0.0)
+    around = Surroundings(session, "ego", 0.0, None)
     for step in range(60):
         for name, place in places.items():
             fast = 0.999 * FASTEST if name in names[::4] else 0.0 if name == "ego" else FASTEST / 2.0

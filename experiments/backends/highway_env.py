@@ -169,13 +169,12 @@ class ScenarioEnv(AbstractEnv):
     # -- an episode ----------------------------------------------------------------------------------------
 
     def _reset(self) -> None:
-        seed, is_linear = int(self.np_random.integers(2**31)), self.config["risk_law"] == "linear"
-        self.scenario: Scenario = (
-            draw(self._drawn_by, self.config, seed)
-            if is_linear
-            else self._drawn_by.scenario(self.config, seed)
-        )
-        self._linear: dict[str, LinearDriver] = linear_drivers(self.scenario) if is_linear else {}
+        seed, self._linear = int(self.np_random.integers(2**31)), dict[str, LinearDriver]()
+        if self.config["risk_law"] == "linear":
+            self.scenario: Scenario = draw(self._drawn_by, self.config, seed)
+            self._linear = linear_drivers(self.scenario)
+        else:
+            self.scenario = self._drawn_by.scenario(self.config, seed)
         self._events = list(self.scenario.events)
         self._pushes: dict[str, tuple[float, RiskEvent]] = {}  # vehicle -> end [s] and event
         self.crash: CrashRecord | None = None

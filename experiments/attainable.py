@@ -27,7 +27,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import json
-import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -52,7 +51,7 @@ from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks, env_config, level_names
 from experiments.study.design.sheet import GRID, VARIANTS, task_of
 from experiments.study.design.traffic import TRAFFICS
-from experiments.support.arguments import argument, command
+from experiments.support.arguments import argument, as_typed, command
 from experiments.support.errors import UserError, check_known, check_least, writing
 from experiments.support.files import plain_json, write_file, write_json
 from experiments.support.provenance import provenance
@@ -197,7 +196,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     with writing(options.out):
         rows = driven(asked, options.executor, options.workers, "batches")
         found = places(options, asked, kinds, rows)
-        record = {"command": shlex.join(["python", "experiments/attainable.py", *arguments]), "places": found}
+        record = {"command": as_typed("attainable", arguments), "places": found}
         write_json(options.out / FOUND, {**record, "provenance": provenance()})
     if options.update:
         before = attainable.stored()

@@ -27,7 +27,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 
 import json
 import re
-import shlex
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -47,7 +46,7 @@ from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, tasks_known
 from experiments.study.design.sheet import task_of
 from experiments.study.replaying.crash import Crash, beside_another, worst_crashes
-from experiments.support.arguments import Flag, command
+from experiments.support.arguments import Flag, as_typed, command
 from experiments.support.errors import UserError, check_known, writing
 from experiments.support.files import read_json, sha256_bytes, write_file, write_json
 from experiments.support.films import save_gif
@@ -124,7 +123,7 @@ def evaluated(
     frozen = {group: stored(group, options.quick) for group in driven}
     card = {
         "name": options.entry or Path(options.policy).name,
-        "command": shlex.join(["python", "experiments/evaluate.py", *arguments]),
+        "command": as_typed("evaluate", arguments),
         "date": time.strftime("%Y-%m-%d"),
         "scenarios": len(scenarios) // len(groups),
         "drivers": {f"{task} {level}": one.name for (task, level), one in who.items()},

@@ -42,6 +42,11 @@ def sha256_bytes(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def digest_of(value: Any) -> str:
+    """Hexadecimal SHA-256 of a value, see `canonical_json`."""
+    return sha256_bytes(canonical_json(value).encode())
+
+
 def read_json(path: Path) -> Any:
     """The value of a JSON file. Raises OSError, or ValueError."""
     return json.loads(path.read_text(encoding="utf-8"))

@@ -20,7 +20,7 @@ from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import BETWEEN, TRAFFICS
 from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
-from experiments.support.files import canonical_json, sha256_bytes
+from experiments.support.files import digest_of
 
 if TYPE_CHECKING:
     from agents.learner import Learner
@@ -215,9 +215,7 @@ def cell_name(key: Mapping[str, Any], version: Mapping[str, Any]) -> str:
     The preset's name is a label: the same computation asked for by two presets is one cell.
     """
     profile = {name: value for name, value in key["profile"].items() if name != "preset"}
-    digest = sha256_bytes(
-        canonical_json({"key": {**key, "profile": profile}, "versions": dict(version)}).encode()
-    )
+    digest = digest_of({"key": {**key, "profile": profile}, "versions": dict(version)})
     return f"{slug(key)}-{digest[:12]}"
 
 

@@ -25,7 +25,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
-import json
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -48,7 +47,7 @@ from experiments.study.design.sheet import task_of
 from experiments.study.replaying.crash import Crash, beside_another, worst_crashes
 from experiments.support.arguments import Flag, as_typed, command
 from experiments.support.errors import UserError, check_known, writing
-from experiments.support.files import read_json, sha256_bytes, write_file, write_json
+from experiments.support.files import read_json, sha256_bytes, write_file, write_json, write_lines
 from experiments.support.films import save_gif
 from experiments.support.provenance import provenance
 from sumo_env.benchmark import SETTINGS, SIZE, BenchmarkScenario, stored
@@ -214,9 +213,7 @@ def evaluate(options: Options, arguments: Sequence[str]) -> int:
     if options.entry:
         if card["changed"] or card["failed"] or {*card["set"]} - {*SETTINGS}:
             raise UserError("--entry stores complete cards of the frozen scenarios alone")
-        cards = {**entries(), options.entry: card}
-        lines = [f"{json.dumps(name)}: {json.dumps(one)}" for name, one in cards.items()]
-        write_file(ENTRIES, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+        write_lines(ENTRIES, {**entries(), options.entry: card})
     return 1 if card["failed"] else 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -67,6 +67,12 @@ def write_file(path: Path, data: bytes) -> None:
 def write_json(path: Path, value: Any) -> None:
     """Write a value as readable JSON, atomically."""
     write_file(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+
+
+def write_lines(path: Path, entries: Mapping[str, Any]) -> None:
+    """Write values by name as JSON with a line for each, atomically."""
+    lines = [f"{json.dumps(name)}: {json.dumps(one)}" for name, one in entries.items()]
+    write_file(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
 
 @contextmanager

@@ -219,16 +219,13 @@ class ScenarioEnv(AbstractEnv):
 
     def _vehicle_of(self, spec: VehicleSpec) -> ScenarioVehicle:
         """A vehicle of the scenario, with its driver."""
+        far = self.config["neighbour_vehicles_connected_lanes"] and self.config["variant"] == "path"
         if spec.id not in self._linear:
-            return self._driver().place(self.road, spec)
-        kind = PathLinearVehicle if self._driver() is PathVehicle else LinearScenarioVehicle
+            return (PathVehicle if far else ScenarioVehicle).place(self.road, spec)
+        kind = PathLinearVehicle if far else LinearScenarioVehicle
         vehicle = kind.place(self.road, spec)
         vehicle.drive_as(self._linear[spec.id])
         return vehicle
-
-    def _driver(self) -> type[ScenarioVehicle]:
-        connected = self.config["neighbour_vehicles_connected_lanes"]
-        return PathVehicle if connected and self.config["variant"] == "path" else ScenarioVehicle
 
     def _simulate(self, action: int | None = None) -> None:
         """``AbstractEnv._simulate``, with the risk events before and the measurements after every sub-step."""

@@ -26,8 +26,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
-import json
-import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -52,9 +50,9 @@ from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks, env_config, level_names
 from experiments.study.design.sheet import GRID, VARIANTS, task_of
 from experiments.study.design.traffic import TRAFFICS
-from experiments.support.arguments import argument, command
+from experiments.support.arguments import argument, as_typed, command
 from experiments.support.errors import UserError, check_known, check_least, writing
-from experiments.support.files import plain_json, write_file, write_json
+from experiments.support.files import plain_json, write_json, write_lines
 from experiments.support.provenance import provenance
 
 RULE_DRIVERS = ("idm", *CAUTIONS)
@@ -197,13 +195,12 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     with writing(options.out):
         rows = driven(asked, options.executor, options.workers, "batches")
         found = places(options, asked, kinds, rows)
-        record = {"command": shlex.join(["python", "experiments/attainable.py", *arguments]), "places": found}
+        record = {"command": as_typed("attainable", arguments), "places": found}
         write_json(options.out / FOUND, {**record, "provenance": provenance()})
     if options.update:
         before = attainable.stored()
         known = {name: {**before.get(name, {}), **found.get(name, {})} for name in {**before, **found}}
-        lines = [f"{json.dumps(name)}: {json.dumps(one)}" for name, one in known.items()]
-        write_file(attainable.FILE, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+        write_lines(attainable.FILE, known)
         attainable.stored.cache_clear()
     print(table(found).to_string(index=False))
     if undrivable := attainable.undrivable(found):

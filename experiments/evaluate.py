@@ -25,9 +25,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
-import json
 import re
-import shlex
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -47,9 +45,9 @@ from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, tasks_known
 from experiments.study.design.sheet import task_of
 from experiments.study.replaying.crash import Crash, beside_another, worst_crashes
-from experiments.support.arguments import Flag, command
+from experiments.support.arguments import Flag, as_typed, command
 from experiments.support.errors import UserError, check_known, writing
-from experiments.support.files import read_json, sha256_bytes, write_file, write_json
+from experiments.support.files import read_json, sha256_bytes, write_file, write_json, write_lines
 from experiments.support.films import save_gif
 from experiments.support.provenance import provenance
 from sumo_env.benchmark import SETTINGS, SIZE, BenchmarkScenario, stored
@@ -124,7 +122,7 @@ def evaluated(
     frozen = {group: stored(group, options.quick) for group in driven}
     card = {
         "name": options.entry or Path(options.policy).name,
-        "command": shlex.join(["python", "experiments/evaluate.py", *arguments]),
+        "command": as_typed("evaluate", arguments),
         "date": time.strftime("%Y-%m-%d"),
         "scenarios": len(scenarios) // len(groups),
         "drivers": {f"{task} {level}": one.name for (task, level), one in who.items()},
@@ -215,9 +213,7 @@ def evaluate(options: Options, arguments: Sequence[str]) -> int:
     if options.entry:
         if card["changed"] or card["failed"] or {*card["set"]} - {*SETTINGS}:
             raise UserError("--entry stores complete cards of the frozen scenarios alone")
-        cards = {**entries(), options.entry: card}
-        lines = [f"{json.dumps(name)}: {json.dumps(one)}" for name, one in cards.items()]
-        write_file(ENTRIES, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+        write_lines(ENTRIES, {**entries(), options.entry: card})
     return 1 if card["failed"] else 0
 
 

@@ -23,7 +23,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import math
-import shlex
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -43,7 +42,7 @@ from experiments.study.compute.rare import Batch, Question
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import TaskName, level_names, tasks_known
 from experiments.study.design.sheet import task_of
-from experiments.support.arguments import command
+from experiments.support.arguments import as_typed, command
 from experiments.support.errors import UserError, check_known, check_least, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
@@ -174,10 +173,8 @@ def rare(options: Options, arguments: Sequence[str]) -> int:
         write_file(options.out / "curve.csv", whole.to_csv(index=False).encode())
         title = f"{asked.task} {asked.level}, drivers of dose {asked.dose:g}"
         write_file(options.out / "curve.svg", rare_figure(curves, title).encode())
-        again = shlex.join(["python", "experiments/rare.py", *arguments])
-        write_json(
-            options.out / "curve.json", {"command": again, "policies": stored, "provenance": provenance()}
-        )
+        record = {"command": as_typed("rare", arguments), "policies": stored}
+        write_json(options.out / "curve.json", {**record, "provenance": provenance()})
     print(f"written: {options.out / 'curve.json'}, curve.csv, curve.svg")
     return 0
 

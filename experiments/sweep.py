@@ -21,7 +21,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
-import shlex
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,7 +40,7 @@ from experiments.study.design.fingerprint import check_dynamics, check_learners,
 from experiments.study.design.presets import asked_preset, cells_of, of_preset
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
-from experiments.support.arguments import Flag, argument, command
+from experiments.support.arguments import Flag, argument, as_typed, command
 from experiments.support.errors import UserError, check_known, check_least, writing
 
 
@@ -94,7 +93,7 @@ def sweep(
     new = [cell for cell in mine if cell.name not in there]
     check_learners((cell.policy, cell.profile) for cell in new if cell.kind == "agent")
     refuse_early(new, options.executor)
-    again = shlex.join(["python", "experiments/sweep.py", *arguments])
+    again = as_typed("sweep", arguments)
     with writing(options.directory):
         if options.cell:
             compute_here(CellTask(mine[0], options.directory, make_env))

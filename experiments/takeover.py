@@ -28,7 +28,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
-import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -52,7 +51,7 @@ from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.takeover import films, most_telling
 from experiments.study.results.parquet import write_part
-from experiments.support.arguments import command
+from experiments.support.arguments import as_typed, command
 from experiments.support.errors import UserError, check_known, check_least, in_words, writing
 from experiments.support.files import plain_json, write_file, write_json
 from experiments.support.films import save_film, side_by_side
@@ -201,7 +200,7 @@ def takeover(options: Options, arguments: Sequence[str]) -> int:
         by_question = frames["answers"].groupby(AT, sort=False)
         said = {at: analysis.claims(own, [*names.values()]) for at, own in by_question}
         found = {
-            "command": shlex.join(["python", "experiments/takeover.py", *arguments]),
+            "command": as_typed("takeover", arguments),
             "scenarios": options.scenarios,
             "first_scenario": options.first_scenario,
             "questions": [question.key for own in asked for question in own],

@@ -18,7 +18,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -34,7 +33,7 @@ from experiments.study.design.levels import is_usual
 from experiments.study.design.presets import asked_preset, cells_of, of_preset
 from experiments.study.results.store import Store
 from experiments.study.results.working import LOG
-from experiments.support.arguments import command
+from experiments.support.arguments import as_typed, command
 from experiments.support.errors import UserError, writing
 
 SMOOTH = 50  # training episodes over which the picture averages
@@ -79,7 +78,7 @@ def train(options: Options, arguments: list[str]) -> int:
     check_dynamics(pair for cell in asked for pair in cell.simulated)
     check_learners((cell.policy, cell.profile) for cell in agents)
     with writing(options.out):
-        Store(options.out).write_sweep(shlex.join(["python", "experiments/train.py", *arguments]), asked)
+        Store(options.out).write_sweep(as_typed("train", arguments), asked)
         for name, reason in compute(asked, options.out).items():
             raise UserError(f"{name} failed: {reason}; see {Store(options.out).work / name / LOG}")
         for cell in agents:
@@ -94,7 +93,7 @@ def following(directory: Path, agents: Sequence[Cell]) -> list[str]:
     usual = all(is_usual("sumo", cell.task, cell.level, cell.env_config) for cell in agents)
     shown = [["evaluate"]] if usual and not code else []
     shown.append(["watch", "--code", code] if code else ["watch"])
-    return [shlex.join(["python", f"experiments/{name}.py", str(directory), *more]) for name, *more in shown]
+    return [as_typed(name, [str(directory), *more]) for name, *more in shown]
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
     import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -31,7 +30,7 @@ from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import STORED, versions
-from experiments.support.arguments import command
+from experiments.support.arguments import as_typed, command
 from experiments.support.errors import UserError, check_least, writing
 from experiments.support.files import read_json, write_file, write_json
 from experiments.support.provenance import provenance
@@ -96,9 +95,7 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
     found = checks.scorecard(table)
-    source = (
-        f"{scenarios} scenarios of each level ({shlex.join(['python', 'experiments/validate.py', *named])})"
-    )
+    source = f"{scenarios} scenarios of each level ({as_typed('validate', named)})"
     verdict = {
         task: {"source": source, "versions": versions(), "fingerprint": dynamics("sumo", task), **own}
         for task, own in checks.summary(found, tasks).items()

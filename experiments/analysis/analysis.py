@@ -27,7 +27,7 @@ from experiments.study.design.arms import ARMS, EXTRA_ARMS
 from experiments.study.design.cell import LEARNER
 from experiments.study.results.loaded import SETTING, Results
 from experiments.support.errors import UserError
-from experiments.support.files import canonical_json, plain_json, sha256_bytes
+from experiments.support.files import digest_of, plain_json
 
 SCHEMA = 5
 BOTH = ("treatment", "control")
@@ -120,7 +120,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
         policies=policies(episodes, outcomes),
         placebo=placebo(agents, plan),
         plan=plan_data,
-        plan_hash=sha256_bytes(canonical_json(plan_data).encode()),
+        plan_hash=digest_of(plan_data),
         notes={
             "missing": [n for n in results.expected if n not in {**results.cells, **results.failed}],
             "failed": dict(results.failed),
@@ -212,7 +212,7 @@ def provenance(results: Results) -> dict[str, Any]:
         "versions": {name: sorted(found) for name, found in sorted(versions.items())},
         "seconds": sum(t.get("train_seconds", 0.0) + t.get("test_seconds", 0.0) for t in timings),
         "cells": files,
-        "hash": sha256_bytes(canonical_json(files).encode()),
+        "hash": digest_of(files),
     }
 
 

@@ -78,8 +78,7 @@ def by_task(
     for simulator, here in pd.concat([agents, tests]).groupby("tested_on", sort=False):
         traffics = here.groupby("traffic", sort=False)
         effects = pd.concat([_effects(own, str(name), outcomes) for name, own in traffics])
-        poolable = effects[effects["outcome"].isin([name for name, one in outcomes.items() if one.poolable])]
-        both = [means(effects, plan, outcomes=outcomes), means(poolable, plan, True, outcomes)]
+        both = [means(effects, plan, leave_one_out, outcomes) for leave_one_out in (False, True)]
         found += [frame.assign(tested_on=simulator) for frame in both]
     if not found:
         return pd.DataFrame(columns=ROW)

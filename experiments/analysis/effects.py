@@ -131,8 +131,9 @@ def means(
 ) -> pd.DataFrame:
     """Means of effects over the plan's settings: every task counts alike, and in a task every level.
 
-    They are over the levels of each task, and over all tasks if the outcome means the same on every task; or over all
-    tasks but one (`leave_one_out`), in turn. A task that the plan does not name has a mean of its own.
+    They are over the levels of each task, and over all tasks if the outcome means the same on every task; or, of such
+    outcomes, over all tasks but one (`leave_one_out`), in turn. A task that the plan does not name has a mean of its
+    own.
 
     Args:
         effects: from `contrasts`.
@@ -146,12 +147,12 @@ def means(
     effects = effects[planned | ~effects["task"].isin([*plan.tasks])]
     own = effects["task"].isin([*plan.tasks])
     tasks = effects["task"].unique()
+    pooled = own & effects["outcome"].isin([name for name, one in outcomes.items() if one.poolable])
     if leave_one_out:
         named = effects.loc[own, "task"].unique()
-        scopes = {f"without {task}": own & (effects["task"] != task) for task in named if len(named) > 1}
+        scopes = {f"without {task}": pooled & (effects["task"] != task) for task in named if len(named) > 1}
     else:
-        poolable = effects["outcome"].isin([name for name, one in outcomes.items() if one.poolable])
-        scopes = {task: effects["task"] == task for task in tasks} | {ALL_TASKS: own & poolable}
+        scopes = {task: effects["task"] == task for task in tasks} | {ALL_TASKS: pooled}
     nothing = effects.iloc[:0].assign(scope="")
     scoped = [nothing, *(effects[chosen].assign(scope=scope) for scope, chosen in scopes.items())]
     rows = pd.concat(scoped, ignore_index=True)

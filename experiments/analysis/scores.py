@@ -27,7 +27,7 @@ def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
     def rank(column: pd.Series) -> pd.Series:
         return column.map(order[column.name]) if column.name in order else column
 
-    return rows.sort_values(list(columns), key=rank, ignore_index=True)
+    return rows.sort_values(list(columns), key=rank, ignore_index=True, kind="stable")
 
 
 def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.support.errors import UserError, unknown
+from experiments.support.errors import UserError, check_known
 from sumo_env.tasks import TASKS
 
 # The package that computes the traffic of each backend.
@@ -29,8 +29,7 @@ REPLICA = {"scenarios": "seeded", "variant": "path", "risk_law": "standard"}
 
 def has(backend: str, task: str) -> bool:
     """Whether a backend has a task. UserError for an unknown backend, ImportError for one that is not installed."""
-    if backend not in BACKENDS:
-        raise unknown("backend", backend, BACKENDS)
+    check_known("backend", [backend], BACKENDS)
     module, _, id = IDS[backend].format(task).partition(":")
     importlib.import_module(module)
     return id in gym.registry
@@ -38,8 +37,7 @@ def has(backend: str, task: str) -> bool:
 
 def require(backend: str, task: str) -> None:
     """Raise UserError for a task that does not exist, or that a backend does not have."""
-    if task not in TASKS:
-        raise unknown("task", task, TASKS)
+    check_known("task", [task], TASKS)
     if not has(backend, task):
         known = ", ".join(name for name in TASKS if has(backend, name))
         raise UserError(f"the backend {backend} has no task {task}: it has {known}")

@@ -169,13 +169,12 @@ class ScenarioEnv(AbstractEnv):
     # -- an episode ----------------------------------------------------------------------------------------
 
     def _reset(self) -> None:
-        seed, is_linear = int(self.np_random.integers(2**31)), self.config["risk_law"] == "linear"
-        self.scenario: Scenario = (
-            draw(self._drawn_by, self.config, seed)
-            if is_linear
-            else self._drawn_by.scenario(self.config, seed)
-        )
-        self._linear: dict[str, LinearDriver] = linear_drivers(self.scenario) if is_linear else {}
+        seed, self._linear = int(self.np_random.integers(2**31)), dict[str, LinearDriver]()
+        if self.config["risk_law"] == "linear":
+            self.scenario: Scenario = draw(self._drawn_by, self.config, seed)
+            self._linear = linear_drivers(self.scenario)
+        else:
+            self.scenario = self._drawn_by.scenario(self.config, seed)
         self._events = list(self.scenario.events)
         self._pushes: dict[str, tuple[float, RiskEvent]] = {}  # vehicle -> end [s] and event
         self.crash: CrashRecord | None = None
@@ -220,16 +219,13 @@ class ScenarioEnv(AbstractEnv):
 
     def _vehicle_of(self, spec: VehicleSpec) -> ScenarioVehicle:
         """A vehicle of the scenario, with its driver."""
+        far = self.config["neighbour_vehicles_connected_lanes"] and self.config["variant"] == "path"
         if spec.id not in self._linear:
-            return self._driver().place(self.road, spec)
-        kind = PathLinearVehicle if self._driver() is PathVehicle else LinearScenarioVehicle
+            return (PathVehicle if far else ScenarioVehicle).place(self.road, spec)
+        kind = PathLinearVehicle if far else LinearScenarioVehicle
         vehicle = kind.place(self.road, spec)
         vehicle.drive_as(self._linear[spec.id])
         return vehicle
-
-    def _driver(self) -> type[ScenarioVehicle]:
-        connected = self.config["neighbour_vehicles_connected_lanes"]
-        return PathVehicle if connected and self.config["variant"] == "path" else ScenarioVehicle
 
     def _simulate(self, action: int | None = None) -> None:
         """``AbstractEnv._simulate``, with the risk events before and the measurements after every sub-step."""

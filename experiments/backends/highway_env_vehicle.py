@@ -116,10 +116,8 @@ class LinearScenarioVehicle(ScenarioVehicle, LinearVehicle):
 
     def drive_as(self, driver: LinearDriver) -> None:
         """Take over the parameters of a driver."""
-        self.ACCELERATION_PARAMETERS, self.STEERING_PARAMETERS = (
-            list(driver.acceleration),
-            list(driver.steering),
-        )
+        self.ACCELERATION_PARAMETERS = list(driver.acceleration)
+        self.STEERING_PARAMETERS = list(driver.steering)
         self.TIME_WANTED = LinearVehicle.TIME_WANTED
         self.collecting_data = False  # for regressions, in every sub-step
 

@@ -11,6 +11,7 @@ import pandas as pd
 from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.effects import ALL_TASKS
+from experiments.analysis.scores import in_order
 from experiments.reporting.tables import (
     BACKENDS,
     MINUS,
@@ -91,10 +92,8 @@ def signs(analysis: Analysis, backend: str, moments: pd.DataFrame) -> pd.DataFra
         for title, question in (("in danger", "careful"), ("crashes from equal moments", "skilled")):
             text = str(row[f"who is more {question}"])
             found.setdefault((row["task"], row["traffic"]), {})[title] = SIGNS.get(text, text)
-    order = {task: number for number, task in enumerate(tasks_known())}
     rows = [{"task": task, "traffic": traffic, **cells} for (task, traffic), cells in found.items()]
-    frame = pd.DataFrame(rows or {"task": []})
-    return frame.sort_values("task", key=lambda column: column.map(order), kind="stable").fillna("")
+    return in_order(pd.DataFrame(rows or {"task": []}), "task").fillna("")
 
 
 def _lines(

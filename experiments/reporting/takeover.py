@@ -7,7 +7,6 @@ from itertools import product
 from pathlib import Path
 
 import pandas as pd
-from matplotlib.lines import Line2D
 
 from experiments.analysis.scores import in_order
 from experiments.analysis.takeover import ADJECTIVES, CAUTION, SKILL, claims, each, of_tasks, overall
@@ -19,6 +18,7 @@ from experiments.reporting.figures import (
     PAPER,
     TREATMENT,
     larger,
+    legend,
     new_figure,
     share,
     styled,
@@ -44,13 +44,10 @@ def recorded(directory: Path) -> pd.DataFrame | None:
     Raises:
         DamagedEpisodes: of a record that is damaged.
     """
-    files = sorted(directory.glob(RECORDS))
+    if not (files := sorted(directory.glob(RECORDS))):
+        return None
     found = [read_part(path, "moments", COLUMNS, {}) for path in files]
-    rows = (
-        chosen(pd.concat(found, ignore_index=True), within=BOUNDS[0])
-        if found
-        else pd.DataFrame(columns=[*COLUMNS])
-    )
+    rows = chosen(pd.concat(found, ignore_index=True), within=BOUNDS[0])
     rows = rows[rows["level"] == rows["task"].map(lambda task: level_names(task)[0])]
     return rows if len(rows) else None
 
@@ -172,12 +169,7 @@ def takeover_figure(answers: pd.DataFrame, rates: pd.DataFrame, names: Mapping[s
             panel.grid(axis="y", visible=False)
     axes[-1][0].set_xlabel(f"{names['b']} {MINUS} {names['a']} [points]")
     axes[-1][1].set_xlabel("crashes from the moments [%]")
-    handles = [
-        Line2D([], [], color=COLOURS[leader], marker="o", label=f"moments of {names[leader]}")
-        for leader in PAIR
-    ]
-    handles.append(
-        Line2D([], [], color=MUTED, mec=INK, mfc=PAPER, marker="o", ls="", label="nothing claimed")
-    )
-    figure.legend(handles=handles, loc="outside upper right", ncols=3, title=title)
+    looks = {f"moments of {names[one]}": {"color": COLOURS[one], "marker": "o"} for one in PAIR}
+    looks["nothing claimed"] = {"color": MUTED, "mec": INK, "mfc": PAPER, "marker": "o", "ls": ""}
+    legend(figure, looks, loc="outside upper right", ncols=3, title=title)
     return to_svg(figure, "takeover", f"Who gets into danger, and who gets out of it: {title}")

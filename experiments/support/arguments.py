@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -38,6 +39,11 @@ def command(
     default: see `parsed`.
     """
     run_command(lambda: run(parsed(options, sys.argv[1:], about, default)), resumes)
+
+
+def as_typed(name: str, arguments: Iterable[str]) -> str:
+    """How a command of `experiments` is typed with these arguments."""
+    return shlex.join(["python", f"experiments/{name}.py", *arguments])
 
 
 def parsed(

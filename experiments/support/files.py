@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,11 @@ def sha256_bytes(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def digest_of(value: Any) -> str:
+    """Hexadecimal SHA-256 of a value, see `canonical_json`."""
+    return sha256_bytes(canonical_json(value).encode())
+
+
 def read_json(path: Path) -> Any:
     """The value of a JSON file. Raises OSError, or ValueError."""
     return json.loads(path.read_text(encoding="utf-8"))
@@ -62,6 +67,12 @@ def write_file(path: Path, data: bytes) -> None:
 def write_json(path: Path, value: Any) -> None:
     """Write a value as readable JSON, atomically."""
     write_file(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+
+
+def write_lines(path: Path, entries: Mapping[str, Any]) -> None:
+    """Write values by name as JSON with a line for each, atomically."""
+    lines = [f"{json.dumps(name)}: {json.dumps(one)}" for name, one in entries.items()]
+    write_file(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
 
 @contextmanager

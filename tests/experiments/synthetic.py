@@ -19,7 +19,7 @@ from experiments.study.design.arms import ARMS, EVERY_ARM, gate_traffics
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.sheet import task_of
-from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
+from experiments.study.design.traffic import AT_A_DOSE
 from experiments.study.results.schema import COLUMNS, EPISODES, GATES
 from experiments.study.results.store import Store
 
@@ -48,9 +48,9 @@ def episodes(cell: Cell, effect: float, spread: float, purpose: str = "test") ->
     own = generator(agent.slug, "agent").normal(0, spread) if cell.arm else 0.0
     random = generator(cell.slug, purpose)
     chance_to_crash, reward, speed = BEHAVIOUR[cell.policy]
-    tested = cell.test_on or {"traffics": TRAFFICS, "episodes": cell.episodes}
+    tested = cell.tested
     if purpose == "gate":
-        tested = {"traffics": gate_traffics(cell.arm), "episodes": cell.gate_episodes}
+        tested = {"traffics": gate_traffics(cell.arm), "episodes": cell.eval["gate_episodes"]}
     tables, n, steps = [], tested["episodes"], DURATION[task_of(cell.task)]
     for traffic in tested["traffics"]:
         luck = generator(cell.task, cell.level, traffic, purpose).uniform(size=n)  # of all who are tested

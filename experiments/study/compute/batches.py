@@ -18,7 +18,7 @@ from experiments.study.compute.run import Heartbeat, run
 from experiments.study.results.parquet import DamagedEpisodes, read_part, write_part
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError
-from experiments.support.files import canonical_json, sha256_bytes
+from experiments.support.files import digest_of
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Batch(ABC):
 
 def named(label: str, key: Mapping[str, Any]) -> str:
     """The name of a batch. key: all that decides the result, as plain values."""
-    return f"{label}-{sha256_bytes(canonical_json(key).encode())[:12]}"
+    return f"{label}-{digest_of(key)[:12]}"
 
 
 def driven(batches: Sequence[Batch], executor: str, workers: int | None, kind: str) -> pd.DataFrame:

@@ -124,13 +124,13 @@ class CellTask:
             where = cell.task, cell.level, range(first, first + n), traffics, purpose
             return evaluate(there, policy, *where, on_episode)
 
-        episodes = table(seen, "test", cell.tested["traffics"], int(cell.tested["episodes"]))
+        episodes = table(seen, "test", cell.tested["traffics"], cell.tested["episodes"])
         if cell.test_on is not None:
             return {EPISODES: episodes}
         judged: Any = seen
         if has_values := "probe_q" in record:
             judged = Worth(seen, policy, learner_of(cell.key(), cell.source)[1].gamma, cell.rules)
-        gates = table(judged, "gate", gate_traffics(cell.arm), cell.gate_episodes)
+        gates = table(judged, "gate", gate_traffics(cell.arm), cell.eval["gate_episodes"])
         if has_values:
             record["values"] = judged.record()
         return {EPISODES: episodes, GATES: gates}

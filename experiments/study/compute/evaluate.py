@@ -15,11 +15,10 @@ from agents.policies import Policy
 from experiments.study.compute.wrappers import UnseenRisk
 from experiments.study.design.arms import scenario_seed, stream_seed
 from experiments.study.design.traffic import traffic_named
-from experiments.study.results.schema import ACTIONS, COLUMNS
+from experiments.study.results.schema import ACTIONS, COLUMNS, OF_CRASH
 from experiments.support.errors import UserError
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
-CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
 
 
 class Drive(NamedTuple):
@@ -108,7 +107,7 @@ def play_from(
         "density": float(np.mean([step["density"] for step in steps])),
         "stopped": float((speeds < STOPPED).mean()),
         **{f"action_{number}": actions.count(number) for number in range(ACTIONS)},
-        **{f"crash_{key}": crash.get(key) for key in CRASH_KEYS},
+        **{name: crash.get(name.removeprefix("crash_")) for name in OF_CRASH},
         "actions": "".join(map(str, actions)),
     }
 

@@ -21,9 +21,9 @@ from agents.rules import DRIVERS
 from experiments.backends import make_env
 from experiments.study.compute import batches
 from experiments.study.compute.entrants import Entrant
-from experiments.study.compute.evaluate import Drive, repeat
+from experiments.study.compute.evaluate import repeat
 from experiments.study.compute.wrappers import UnseenRisk
-from experiments.study.design.arms import stream_seed
+from experiments.study.design.arms import scenario_seed, stream_seed
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import traffic_named
@@ -268,8 +268,7 @@ class Question:
 
     def reset(self, scenario: int) -> dict[str, Any]:
         """Arguments of the reset that begins a test scenario of the study."""
-        task, level = task_of(self.task), level_names(self.task).index(self.level) + 1
-        seed = Drive(task, level, self.traffic, scenario).seed
+        seed = scenario_seed(self.task, level_names(self.task).index(self.level) + 1, scenario)
         return {"seed": seed, "options": traffic_named(self.traffic).options(seed)}
 
     def seed(self, scenario: int) -> int:

@@ -66,7 +66,8 @@ def environments(
     """
 
     def one(first: int = 0, count: int = 1) -> gym.Env[Any, Any]:
-        env = make_env(cell.backend, task_of(cell.task), cell.training_config)
+        # a training clock may run longer than the test
+        env = make_env(cell.backend, task_of(cell.task), {**cell.env_config, **cell.rules.duration})
         opened.enter_context(closing(env))
         traffic = EVERY_ARM[str(cell.arm)].traffic
         return TrainingEnv(observed(env, cell.rules), cell.rules, traffic, seed, first, count)

@@ -12,6 +12,7 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from experiments.support.files import read_json
@@ -55,10 +56,8 @@ def scores(episodes: pd.DataFrame) -> pd.Series:
     """
     places = episodes[["task", "level_name", "traffic"]]
     known = {where: marks(*where) for where in places.drop_duplicates().itertuples(index=False, name=None)}
-    low, high = (
-        pd.Series([known[where][end] for where in places.itertuples(index=False, name=None)], episodes.index)
-        for end in (0, 1)
-    )
+    both = [known[where] for where in places.itertuples(index=False, name=None)]
+    low, high = np.array(both, float).reshape(-1, 2).T
     return (episodes["return"] - low) / (high - low)
 
 

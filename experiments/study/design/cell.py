@@ -20,7 +20,7 @@ from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import BETWEEN, TRAFFICS
 from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
-from experiments.support.files import canonical_json, sha256_bytes
+from experiments.support.files import digest_of
 
 if TYPE_CHECKING:
     from agents.learner import Learner
@@ -37,7 +37,8 @@ class Cell:
     kind: "agent", "baseline" or "test". task: may be a variant (`sheet.VARIANTS`). level: 1 is the lightest traffic.
     arm, seed: None for baselines. policy: name of the learner or of the policy. profile: every setting of the learner
         and the rules of its training (`training_rules.TrainingRules`); for baselines only the preset's name.
-    env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
+    env_config: the environment's configuration, without the dose of risk. eval: episodes of the test and for the gates
+        (in each traffic, on other scenarios), and number of the first scenario.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     test_on: of a further test its backend, env_config, traffics and episodes.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
@@ -84,8 +85,7 @@ class Cell:
     @property
     def tested(self) -> Mapping[str, Any]:
         """How it is tested: backend, env_config, traffics, and episodes in each of them."""
-        here = {"backend": self.backend, "env_config": self.env_config, "traffics": list(TRAFFICS)}
-        return self.test_on or {**here, "episodes": self.episodes}
+        return {**self.eval, **test_of(self.key())}
 
     @property
     def runs_on(self) -> str:
@@ -113,11 +113,6 @@ class Cell:
         return TrainingRules.of(self.profile)
 
     @property
-    def training_config(self) -> dict[str, Any]:
-        """The environment's configuration in training; a training clock may run longer than the test."""
-        return {**self.env_config, **self.rules.duration}
-
-    @property
     def budget(self) -> tuple[int, int]:
         """Environment steps and gradient updates of its training (0 where nothing is trained)."""
         if self.kind != "agent":
@@ -126,19 +121,9 @@ class Cell:
         return settings.steps, settings.updates
 
     @property
-    def episodes(self) -> int:
-        """Test episodes in each traffic."""
-        return int(self.eval["episodes"])
-
-    @property
-    def gate_episodes(self) -> int:
-        """Episodes in a traffic on scenarios that the gates are judged on, which are not test scenarios."""
-        return int(self.eval["gate_episodes"])
-
-    @property
     def work(self) -> int:
         """Episodes that are played after the training, in all traffics."""
-        gates = 0 if self.test_on else len(gate_traffics(self.arm)) * self.gate_episodes
+        gates = 0 if self.test_on else len(gate_traffics(self.arm)) * int(self.eval["gate_episodes"])
         return len(self.tested["traffics"]) * int(self.tested["episodes"]) + gates
 
 
@@ -176,9 +161,14 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any
     return found, settings_of(found.Settings, values, f"the learner {key['policy']}")
 
 
+def test_of(key: Mapping[str, Any]) -> dict[str, Any]:
+    """The key of a cell, with the backend, dynamics, env_config and traffics that it is tested in."""
+    return {**key, "traffics": TRAFFICS, **(key.get("test_on") or {})}
+
+
 def tested_on(key: Mapping[str, Any]) -> tuple[str, str, dict[str, Any]]:
     """Backend, task and configuration of the environment that a cell is tested in, as `make_env` takes them."""
-    where = {**key, **(key.get("test_on") or {})}
+    where = test_of(key)
     return where["backend"], task_of(key["task"]), dict(where["env_config"])
 
 
@@ -215,9 +205,7 @@ def cell_name(key: Mapping[str, Any], version: Mapping[str, Any]) -> str:
     The preset's name is a label: the same computation asked for by two presets is one cell.
     """
     profile = {name: value for name, value in key["profile"].items() if name != "preset"}
-    digest = sha256_bytes(
-        canonical_json({"key": {**key, "profile": profile}, "versions": dict(version)}).encode()
-    )
+    digest = digest_of({"key": {**key, "profile": profile}, "versions": dict(version)})
     return f"{slug(key)}-{digest[:12]}"
 
 

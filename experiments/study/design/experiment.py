@@ -303,7 +303,8 @@ class Experiment:
 def tests_of(cell: Cell, traffics: Iterable[str], most: int | None = None, **where: Any) -> dict[str, Any]:
     """What a further test of a cell is: in some traffics, with its own number of episodes or so many at most."""
     here = {"backend": cell.backend, "env_config": cell.env_config, **where}
-    return {**here, "traffics": list(traffics), "episodes": min(cell.episodes, most or cell.episodes)}
+    episodes = cell.eval["episodes"]
+    return {**here, "traffics": list(traffics), "episodes": min(episodes, most or episodes)}
 
 
 def assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:

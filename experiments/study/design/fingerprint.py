@@ -25,7 +25,7 @@ import numpy as np
 from experiments.backends import BACKENDS, has, make_env, require
 from experiments.study.design.arms import scenario_seed
 from experiments.support.errors import UserError, check_known, run_command
-from experiments.support.files import canonical_json, read_json, sha256_bytes, write_json
+from experiments.support.files import digest_of, read_json, write_json
 from sumo_env.tasks import TASKS
 
 IDLE, SLOWER, ANY = "IDLE", "SLOWER", ""  # what drives an episode; ANY: random actions
@@ -52,7 +52,7 @@ def _table() -> dict[str, dict[str, dict[str, Any]]]:
 
 def _digits(found: Behaviour) -> str:
     """The name of a behaviour that has none yet."""
-    return sha256_bytes(canonical_json(found).encode())[:8]
+    return digest_of(found)[:8]
 
 
 def _same(found: Behaviour, known: Behaviour) -> bool:

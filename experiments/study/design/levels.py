@@ -12,7 +12,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from experiments.study.design.sheet import GRID, VARIANTS, own_task, sheet, task_of
 from experiments.support.arguments import argument
-from experiments.support.errors import UserError, check_known, unknown
+from experiments.support.errors import UserError, check_known
 from sumo_env.config import TYPES, resolve
 from sumo_env.spaces.approach import APPROACH
 from sumo_env.spaces.observation import FEATURES, USUAL
@@ -141,8 +141,6 @@ def choose_levels(tasks: Sequence[str], wanted: Sequence[int]) -> dict[str, tupl
         UserError: a level that none of the tasks has.
     """
     known = {task: range(1, len(level_names(task)) + 1) for task in tasks}
-    for level in wanted:
-        if not any(level in numbers for numbers in known.values()):
-            raise unknown("level", level, range(1, 1 + max(map(len, known.values()))))
+    check_known("level", wanted, range(1, 1 + max(map(len, known.values()))))
     chosen = {task: tuple(n for n in known[task] if not wanted or n in wanted) for task in tasks}
     return {task: numbers for task, numbers in chosen.items() if numbers}

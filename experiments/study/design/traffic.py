@@ -72,10 +72,6 @@ class Traffic:
         return risky.with_drivers(lambda driver: driver.like(self.name, model))
 
 
-def _only(kind: str) -> Traffic:
-    return Traffic(f"only-{kind}", 1.0, events=kind, drivers=REGULAR_DRIVERS)
-
-
 # SUMO would draw the random errors of its other models from its own generator, and an episode would depend on those
 # before it: they are off.
 KRAUSS = {"carFollowModel": "Krauss", "sigma": 0}
@@ -90,7 +86,7 @@ ALL: dict[str, Traffic] = {
         Traffic("dose75", 0.75),
         Traffic("risky", 1.0),
         Traffic("mixed", 0.5, drawn=True),
-        *map(_only, KINDS),
+        *(Traffic(f"only-{kind}", 1.0, events=kind, drivers=REGULAR_DRIVERS) for kind in KINDS),
         Traffic("only-parameters", 1.0, events=""),
         Traffic("krauss", 1.0, drivers=KRAUSS),
         Traffic("eidm", 1.0, drivers=EIDM),

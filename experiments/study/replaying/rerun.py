@@ -14,7 +14,7 @@ from agents import pretrained
 from agents.rules.constant import Constant
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.policies import driver
-from experiments.study.design.cell import RESULT_SCHEMA, installed, tested_on
+from experiments.study.design.cell import RESULT_SCHEMA, installed, test_of, tested_on
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
@@ -113,9 +113,8 @@ def changed_versions(record: Mapping[str, Any]) -> list[str]:
     for package in record["versions"].keys() - now.keys():
         with suppress(UserError):  # the stored actions may need none of it
             now[package] = installed(package)
-    then = {**key, **(key.get("test_on") or {})}.get("dynamics")
     return [
         f"{name} {now.get(name, 'not installed')} (was {old})"
-        for name, old in {**record["versions"], "dynamics": then}.items()
+        for name, old in {**record["versions"], "dynamics": test_of(key)["dynamics"]}.items()
         if now.get(name) != old
     ]

@@ -13,8 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.study.design.cell import setting
-from experiments.study.design.traffic import TRAFFICS
+from experiments.study.design.cell import setting, test_of
 from experiments.study.results.parquet import DamagedCell
 from experiments.study.results.schema import COLUMNS, EPISODES, GATES
 from experiments.study.results.store import Store
@@ -42,10 +41,10 @@ def table_of(cells: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
             **(key := record["key"]),
             "cell": name,
             "preset": key["profile"].get("preset"),
-            "tested_on": (key.get("test_on") or key)["backend"],
+            "tested_on": test_of(key)["backend"],
             "setting": setting(key),
             "who": key["arm"] or key["policy"],
-            "traffics": tuple((key.get("test_on") or {}).get("traffics", TRAFFICS)),
+            "traffics": tuple(test_of(key)["traffics"]),
         }
         for name, record in cells.items()
     ]

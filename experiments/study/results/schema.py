@@ -16,9 +16,8 @@ import pandas as pd
 import pyarrow as pa
 
 from experiments.study.design.arms import gate_traffics
-from experiments.study.design.cell import RESULT_SCHEMA, cell_name
+from experiments.study.design.cell import RESULT_SCHEMA, cell_name, test_of
 from experiments.study.design.levels import tasks_known
-from experiments.study.design.traffic import TRAFFICS
 
 # What a cell leaves behind, as its record calls it under "files".
 EPISODES, GATES, TRAINING, WEIGHTS = "episodes.parquet", "gates.parquet", "training.parquet", "weights.npz"
@@ -124,7 +123,7 @@ def check_table(table: pa.Table, records: Mapping[str, Mapping[str, Any]]) -> di
 def check_rows(key: Mapping[str, Any], file: str, rows: pd.DataFrame) -> None:
     """That a cell has each of its scenarios once, in each of its traffics. Raises ValueError, with the scenario."""
     if file == EPISODES:
-        asked = {"traffics": TRAFFICS, "episodes": key["eval"]["episodes"], **(key.get("test_on") or {})}
+        asked = {**key["eval"], **test_of(key)}
     else:
         asked = {"traffics": gate_traffics(key["arm"]), "episodes": key["eval"]["gate_episodes"]}
     first = key["eval"]["first_scenario"]

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import pytest
 
-from experiments.study.compute.evaluate import CRASH_KEYS, Drive, play, play_from
+from experiments.study.compute.evaluate import Drive, play, play_from
 from experiments.study.design.traffic import TRAFFICS
 from sumo_env.contacts.crash import CrashRecord
 
@@ -53,7 +53,7 @@ class Acts:
 @pytest.mark.parametrize("crashes", [True, False])
 def test_a_row_is_what_the_steps_of_the_episode_say(crashes: bool) -> None:
     row = play_from(Told(crashes), Acts(), 0, {})
-    crash = asdict(CRASH) if crashes else dict.fromkeys(CRASH_KEYS)
+    crash = asdict(CRASH) if crashes else dict.fromkeys(asdict(CRASH))
     assert row == pytest.approx(
         {
             "return": 0.7, "length": 3, "crashed": crashes, "arrived": False, "truncated": not crashes,

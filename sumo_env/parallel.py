@@ -199,6 +199,8 @@ def parallel_env(
         ConfigError: as of `DrivingEnv`; no or too many learning cars.
     """
     make: Any = DrivingEnv
+    if not isinstance(config, Mapping | None):
+        raise ConfigError(f"config is a dict, not {config!r}; routes and vehicles are named: routes=[FILE]")
     if not isinstance(env, Task) and (files.is_file(str(env)) or str(env).endswith(".sumocfg")):
         parts = ("routes", "additional", "vehicles", "vehicle_type", "max_cars")
         of_files = {name: keywords.pop(name) for name in parts if name in keywords}

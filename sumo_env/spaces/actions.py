@@ -293,7 +293,8 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
     given |= {name: _rising(f"action {name!r}", action[name], most=2) for name in ranges}
     if not steers:
         if "steering_range" in given or given.get("dynamical"):
-            raise ConfigError("'steering_range', 'dynamical' are for replica/*: SUMO's cars keep to lanes")
+            key = "steering_range" if "steering_range" in given else "dynamical"
+            raise ConfigError(f"{key!r} is for replica/*: SUMO's cars keep to lanes")
         given["steering_range"] = -1.0, 1.0
     given |= {"longitudinal": agent[0], "lateral": agent[1], "steers": steers}
     if kind == "ContinuousAction" and any(agent):

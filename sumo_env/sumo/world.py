@@ -71,11 +71,13 @@ class SumoSimulator:
                 self._session.forget()
                 self._check_window(error)
                 refusal = error
-        files = "" if scenario.traffic is None else f" of {scenario.net}"
+        loaded = dict(scenario.traffic.options) if scenario.traffic else {}
+        named = ", ".join(filter(None, map(loaded.get, ("net-file", "route-files", "additional-files"))))
+        files = f" of {named}" if named else ""
         options = " ".join(f"--{name}={value}" for name, value in self._options.items())
         raise SimulatorError(
-            f"SUMO cannot begin this episode{files} ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it "
-            f"says is above; its options are {options or 'none'}"
+            f"SUMO cannot begin this episode{files} ({scenario.task}): {_words(refusal)} What it says is above"
+            f"{f'; its options are {options}' if options else ''}"
         ) from refusal
 
     def step(self, commands: Commands, trace: bool = False) -> Step:

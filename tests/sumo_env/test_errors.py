@@ -287,6 +287,7 @@ CALLS: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: sumo_env.parallel_env("highway", {"controlled_vehicles": 2}).vehicle, AttributeError, "env.cars[agent]"),
     (lambda: gym.make_vec("replica/highway-v0", 1).render(), AttributeError, "sync"),
     (lambda: sumo_env.paralel_env, AttributeError, "'parallel_env'"),
+    (lambda: sumo_env.parallel_env("town.net.xml", ["town.rou.xml"]), ConfigError, "routes=[FILE]"),
     # subclasses
     *((answering(name, None), TypeError, name) for name in ("_reward", "_rewards", "_info", "default_config")),
     (answering("__init__", None), AttributeError, "super().__init__()"),

@@ -126,6 +126,7 @@ def test_what_sumo_refuses_is_an_error_in_sumo_s_own_words(merge, tmp_path, elem
     with pytest.raises(SimulatorError, match="SUMO cannot begin") as caught:
         env.reset(seed=0)
     assert words in str(caught.value) + capfd.readouterr().err
+    assert ".rou.xml" in str(caught.value)
 
 
 # -- networks as they are found --------------------------------------------------------------------------------------

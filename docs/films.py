@@ -28,7 +28,6 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[0] = str(ROOT)
 
 from agents.rules import make_policy
-from docs.windows import beside
 from experiments.replay import filmed
 from experiments.study.replaying.avoid import way_out
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
@@ -176,9 +175,9 @@ def scenarios() -> None:
                 car.hand_over()
                 ignored[name] = 1 if hasattr(car.action_space, "n") else car.action_space.sample()
             env.step(ignored["ego"] if alone else ignored)
-        frames.append(Image.fromarray(env.render()).resize((TILE, TILE)))
+        frames.append((script.stem, [Image.fromarray(env.render()).resize((TILE, TILE))]))
         env.close()
-    beside(frames, columns=3).save(IMAGES / "scenarios.png", optimize=True)
+    side_by_side(frames, columns=3)[0].save(IMAGES / "scenarios.png", optimize=True)
 
 
 if __name__ == "__main__":

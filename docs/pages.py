@@ -25,7 +25,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from docs.settings import learned, readme_agents, trainings
+from docs.settings import learning_curves, readme_agents, trainings
 from experiments import evaluate
 from experiments.reporting import by_task, takeover
 from experiments.reporting.arrows import crashes_against_speed
@@ -209,7 +209,7 @@ FIGURES: dict[str, Callable[[], str]] = {
     "study": lambda: crashes_against_speed(lightest(study().drivers), "study"),
     "takeover": lambda: takeover.danger_figure(moments()),
     "entries": entries_figure,
-    "settings": lambda: crashes_against_speed(learned(), "settings"),
+    "settings": learning_curves,
     "validation": lambda: validation_figure(checks()),
     "road-units": lambda: doses_figure(pd.read_parquet(ROOT / "results" / "road-units.parquet")),
     "rare": rare_curves,

@@ -2,12 +2,11 @@
 
 A row is TASK/RISK/DRIVER: the seed of a training, "random", an action that is always taken, or "study", the published
 agent that was trained at this risk in the task's lightest traffic. Tasks have the defaults of their ids, also light
-traffic. ``make pages`` makes a table of the rows (`trainings`).
+traffic. ``make pages`` makes a table and a figure of the rows (`trainings`, `learning_curves`).
 """
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -17,10 +16,13 @@ from statistics import fmean
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import pandas as pd
 
 from agents.sb3 import Attention
+from experiments.reporting.figures import CONTROL, INK, TREATMENT, legend, new_figure, styled, to_svg
 from experiments.study.design.sheet import VARIANTS, task_of
+from experiments.support.files import plain_json, read_json, write_lines
 from sumo_env.tasks import TASKS as LEVELS
 
 ROWS = Path(__file__).with_suffix(".json")
@@ -36,6 +38,7 @@ TASKS = {
 RISKS, SEEDS = (0, 1), ("0", "1", "2")
 README, MORE_SEEDS = ("two-way-brakes", 1), ("3", "4", "5", "6", "7", "8", "9")  # README's has ten trainings
 SCENARIOS, STEPS = range(5000, 5100), 15_000  # 100 scenarios, so that crashes are in %
+POINTS = 20  # of a learning curve
 ARMS = ("control", "treatment")  # by risk
 DIGITS = {"return": 1, "crashes": 0, "speed": 1}
 DQN = {
@@ -81,8 +84,8 @@ def drive(env: gym.Env[Any, Any], act: Act, begin: Callable[[], None] = lambda: 
     return {"return": returned / 100, "crashes": crashes, "speed": fmean(speeds)}
 
 
-def row(env: gym.Env[Any, Any], task: str, risk: int, driver: str) -> dict[str, float]:
-    """What a driver does, and the CPU seconds of its training."""
+def row(env: gym.Env[Any, Any], task: str, risk: int, driver: str) -> dict[str, Any]:
+    """What a driver does, the CPU seconds of its training, and the mean return of episodes in each part of it."""
     actions = {name: number for number, name in env.unwrapped.actions.items()}  # type: ignore[attr-defined]
     if driver == "study":
         import agents
@@ -101,9 +104,12 @@ def row(env: gym.Env[Any, Any], task: str, risk: int, driver: str) -> dict[str, 
     set_num_threads(1)
     began = time.process_time()
     settings, steps = SETTINGS.get(f"{task}/{risk}", (DQN, STEPS))
-    model = Learner("MlpPolicy", env, seed=int(driver), **settings).learn(steps)
-    seconds = time.process_time() - began
-    return {"seconds": seconds, **drive(env, lambda seen: model.predict(seen, deterministic=True)[0])}
+    model: Any = Learner("MlpPolicy", env, seed=int(driver), **settings).learn(steps)
+    seconds, watched = time.process_time() - began, model.get_env().envs[0]
+    part = np.cumsum(watched.get_episode_lengths()) * POINTS // (steps + 1)
+    curve = pd.Series(watched.get_episode_rewards()).groupby(part).mean()
+    driven = drive(env, lambda seen: model.predict(seen, deterministic=True)[0])
+    return {"seconds": seconds, **driven, "curve": [*curve.round(2)]}
 
 
 def seeds(task: str, risk: int) -> tuple[str, ...]:
@@ -125,27 +131,30 @@ def drivers(env: gym.Env[Any, Any], task: str, risk: int) -> tuple[str, ...]:
 
 def of_line(task: str, risk: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The rows of the agents of a line, and of the drivers that do not learn."""
-    stored = json.loads(ROWS.read_text())
+    stored = read_json(ROWS)
     rows = {name.split("/")[2]: row for name, row in stored.items() if name.startswith(f"{task}/{risk}/")}
     return pd.DataFrame([rows.pop(seed) for seed in seeds(task, risk)]), pd.DataFrame(rows).T
 
 
-def learned() -> pd.DataFrame:
-    """Crash rate and speed with their ranges, of random actions, of the median agent and of SLOWER, by task and risk.
-
-    The columns are those that `reporting.figures.crashes_against_speed` takes.
-    """
-    rows = []
-    for (task, risk), name in product(product(TASKS, RISKS), ("random", "agents", "SLOWER")):
-        agents, others = of_line(task, risk)
-        driven = agents if name == "agents" else others.loc[[name]]
-        row = {"task": task.removesuffix("-fast"), "traffic": ("regular", "risky")[risk]}
-        row["driver"] = {"random": ARMS[0], "agents": ARMS[1]}.get(name, name.lower())
-        for shown, column, size in (("mean_speed", "speed", 1), ("crashed", "crashes", 100)):
-            ends = (driven[column] / size).quantile([0, 0.5, 1])
-            row |= dict(zip((f"{shown}_low", shown, f"{shown}_high"), ends, strict=True))
-        rows.append(row)
-    return pd.DataFrame(rows)
+@styled
+def learning_curves() -> str:
+    """Returns of the training's episodes against its steps, by task and risk: a line is a training."""
+    figure, panels = new_figure(2, 3, 4.4)
+    for panel, task in zip(panels.flat, TASKS, strict=True):
+        for risk, colour in zip(RISKS, (CONTROL, TREATMENT), strict=True):
+            agents, others = of_line(task, risk)
+            steps = SETTINGS.get(f"{task}/{risk}", (DQN, STEPS))[1] / 1000
+            at = (np.arange(POINTS) + 0.5) * steps / POINTS
+            for curve in agents["curve"].dropna():
+                panel.plot(at, curve, color=colour, lw=0.8)
+            panel.axhline(others["return"].drop("study").max(), color=colour, ls=":")
+        panel.set_title(task)
+    looks = {f"DQN, risk {risk}": {"color": colour} for risk, colour in enumerate((CONTROL, TREATMENT))}
+    looks["best constant action"] = {"color": INK, "ls": ":"}
+    legend(figure, looks, ncols=3)
+    figure.supxlabel("steps of the training [thousand]")
+    figure.supylabel("return of an episode")
+    return to_svg(figure, "settings", "Return of training episodes against steps, by task, at risk 0 and 1")
 
 
 def readme_agents() -> dict[str, Any]:
@@ -195,10 +204,10 @@ def main() -> None:
     for task, risk in product(TASKS, RISKS):
         with closing(made(task, risk=risk)) as env:
             for driver in drivers(env, task, risk):
-                rows = json.loads(ROWS.read_text()) if ROWS.exists() else {}
+                rows = read_json(ROWS) if ROWS.exists() else {}
                 if (name := f"{task}/{risk}/{driver}") not in rows:
-                    rows[name] = {key: round(value, 3) for key, value in row(env, task, risk, driver).items()}
-                    ROWS.write_text(json.dumps(rows, indent=1) + "\n")
+                    rows[name] = plain_json(row(env, task, risk, driver), digits=5)
+                    write_lines(ROWS, rows)
                     print(name, rows[name], flush=True)
 
 

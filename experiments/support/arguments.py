@@ -66,7 +66,7 @@ def parsed(
     unnamed = [
         name for name, hint in hints.items() if tyro.conf.Positional in getattr(hint, "__metadata__", ())
     ]
-    if unnamed and words and words[0].startswith("--") and words[0] != "--help":
+    if unnamed and words and words[0].startswith("--") and not {"-h", "--help"} & set(words):
         raise UserError(f"{unnamed[0].upper()} is missing: name it before the options")
     usual = default(words) if default else tyro.MISSING_NONPROP
     config = (tyro.conf.FlagCreatePairsOff,)
@@ -99,6 +99,7 @@ def split_arguments(arguments: Iterable[str], options: type[Any]) -> list[str]:
                 name = flag
             else:
                 values.setdefault(name, []).extend(one for word in given for one in parts(word))
+                name = "" if given and name not in lists else name
             continue
         _check_word(word)
         if name in flags:  # its value, or an argument behind it
@@ -109,6 +110,8 @@ def split_arguments(arguments: Iterable[str], options: type[Any]) -> list[str]:
             name = ""
             continue
         values[name].extend(parts(word))
+        if name not in lists:  # has one value: what follows is no other one
+            name = ""
     found = [word for name, given in values.items() for word in ([name] if name else []) + given]
     return [*found, *(name for name, is_on in switched.items() if is_on)]
 

@@ -139,7 +139,9 @@ def test_a_repeated_option_adds_values_and_a_comma_separates_them():
 
 
 def test_one_task_or_several_are_named_alike():
-    assert parsed(rare.Options, ["idle", "--tasks", "u-turn"], "").task == "u-turn"
+    for words in (["idle", "--tasks", "u-turn"], ["--task", "u-turn", "idle"], ["--task=u-turn", "idle"]):
+        asked = parsed(rare.Options, words, "")
+        assert (asked.task, asked.policies) == ("u-turn", ("idle",))
     assert parsed(evaluate.Options, ["idle", "--task=u-turn,merge"], "").tasks == ("u-turn", "merge")
 
 

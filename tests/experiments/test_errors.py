@@ -114,7 +114,7 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (swept(settings=("device=toaster",)), "device toaster"),
     (swept(executor="slurm"), "--executor slurm is for machines"),
     (partial(evaluate_card, "slower", tasks=("uturn",)), "did you mean 'u-turn'"),
-    (lambda: parsed(rare.Options, ["--task", "u-turn", "idle"], ""), "POLICIES is missing: name it before"),
+    (lambda: parsed(command.Options, ["--tasks", "u-turn", "idle"], ""), "POLICY is missing: name it before"),
     (partial(evaluate_card, "nowhere.zip"), "there is no file nowhere.zip"),
     (partial(evaluate_card, "nowhere.py:make"), "there is no file nowhere.py"),
     (lambda: parsed(rare.Options, ["idle", "--task", "my.py:Mine"], ""), "There is no file my.py"),

@@ -75,7 +75,13 @@ def skill(directory: Path) -> dict[str, Any]:
     if (rows := takeover.recorded(directory)) is None:
         return {}
     table, figure = takeover.skill_or_caution(rows), takeover.danger_figure(rows)
-    return {"table": table, "decided": takeover.decided(table), "figure": Markup(figure)}
+    denser = takeover.recorded(directory, lightest=False)
+    return {
+        "table": table,
+        "decided": takeover.decided(table),
+        "figure": Markup(figure),
+        "denser": pd.DataFrame() if denser is None else takeover.skill_or_caution(denser, "p"),
+    }
 
 
 def films(directory: Path) -> dict[str, str]:

@@ -38,8 +38,10 @@ COLOURS = dict(zip(PAIR, (CONTROL, TREATMENT), strict=True))
 SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]
 
 
-def recorded(directory: Path) -> pd.DataFrame | None:
-    """The records of a study's pairs in each task's lightest traffic, by the bound of the plan; None without one.
+def recorded(directory: Path, lightest: bool = True) -> pd.DataFrame | None:
+    """The records of a study's pairs by the bound of the plan, in each task's lightest traffic; None without one.
+
+    lightest: or in the denser ones, whose settings then stand for the tasks.
 
     Raises:
         DamagedEpisodes: of a record that is damaged.
@@ -48,7 +50,9 @@ def recorded(directory: Path) -> pd.DataFrame | None:
         return None
     found = [read_part(path, "moments", COLUMNS, {}) for path in files]
     rows = chosen(pd.concat(found, ignore_index=True), within=BOUNDS[0])
-    rows = rows[rows["level"] == rows["task"].map(lambda task: level_names(task)[0])]
+    rows = rows[(rows["level"] == rows["task"].map(lambda task: level_names(task)[0])) == lightest]
+    if not lightest:
+        rows = rows.assign(task=rows["task"] + " " + rows["level"])
     return rows if len(rows) else None
 
 
@@ -71,12 +75,15 @@ def danger_figure(rows: pd.DataFrame) -> str:
     return to_svg(figure, "danger", words)
 
 
-def skill_or_caution(rows: pd.DataFrame) -> pd.DataFrame:
-    """A row a task and traffic: both differences in points with their intervals, and what the plan decides."""
+def skill_or_caution(rows: pd.DataFrame, decides: str = "p_holm") -> pd.DataFrame:
+    """A row a task and traffic: both differences in points with their intervals, and what the plan decides.
+
+    decides: "p" for an exploratory table, unadjusted.
+    """
     found = of_tasks(rows)
     lines = []
     for (task, traffic), own in in_order(found, "task", "traffic").groupby(["task", "traffic"], sort=False):
-        said, line = claims(own, TREATED, "p_holm"), {"task": task, "traffic": traffic}
+        said, line = claims(own, TREATED, decides), {"task": task, "traffic": traffic}
         shown = table(own, dict(zip(PAIR, TREATED, strict=True))).set_index("question")
         for question in (CAUTION, SKILL):
             if question in shown.index:

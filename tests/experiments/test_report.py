@@ -350,6 +350,7 @@ def test_skill_and_caution_stand_in_the_report_of_a_study_whose_pairs_were_drive
     assert signs[:2] == [[MINUS, "too few |"]] * 2
     assert set(lines["who is more skilled"]) <= {"not decided", "depends on whose moments", "too few"}
     assert all(value in page.text for value in lines["caution [points]"])
+    assert "Secondary, in denser traffic; unadjusted:" in page.text and "u-turn 12" in page.text
     takeover_file.write_bytes(takeover_file.read_bytes()[:-9])
     with pytest.raises(DamagedEpisodes):
         report.write_report(tmp_path)

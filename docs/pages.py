@@ -108,6 +108,12 @@ def skill_or_caution() -> pd.DataFrame:
     return takeover.skill_or_caution(moments())
 
 
+def denser() -> str:
+    """What the moments of denser traffic answer, a setting and traffic a line; unadjusted. Empty without any."""
+    rows = takeover.recorded(STUDY, lightest=False)
+    return "" if rows is None else _markdown(takeover.skill_or_caution(rows, "p").to_dict("records"))
+
+
 def signs() -> str:
     """Whether treated agents have less or more of each outcome, as the report shows it."""
     return _markdown(by_task.signs(study(), "sumo", skill_or_caution()).to_dict("records"))
@@ -135,24 +141,24 @@ def from_moments(task: str, traffic: str) -> dict[str, float]:
 
 
 def beside_plan_5() -> str:
-    """The effects on crashes in each task's lightest traffic by plan 5 and here, and what became of the first.
+    """The effects on crashes by plan 5 and here, in the settings of both, and what became of the first.
 
     An effect is one whose 95 % interval excludes 0.
     """
-    earlier, lines = pd.read_csv(ROOT / "results" / "plan_v5.csv"), []
+    earlier = pd.read_csv(ROOT / "results" / "plan_v5.csv").rename(columns={"difference": "estimate"})
     earlier = chosen(earlier, tested_on="sumo", outcome="crashed").assign(status="ok")
-    earlier, arms = (
-        earlier.rename(columns={"difference": "estimate"}),
-        dict(zip(("against", "arm"), ARMS, strict=True)),
-    )
-    for task, traffic in product(GRID, ("risky", "regular")):
-        both = (
-            dict(*chosen(earlier, scope=f"{task}-{GRID[task][0]}", traffic=traffic).to_dict("records")),
-            row("effects", **arms, task=task, level=1, term=traffic, outcome="crashed"),
+    arms, lines = dict(zip(("against", "arm"), ARMS, strict=True)), []
+    effects = chosen(study().effects, backend="sumo", outcome="crashed", **arms)
+    places = product([(task, name) for task in GRID for name in GRID[task]], ("risky", "regular"))
+    for (task, name), traffic in places:
+        before, now = (
+            chosen(earlier, scope=f"{task}-{name}", traffic=traffic).to_dict("records"),
+            chosen(effects, task=task, level_name=name, term=traffic).to_dict("records"),
         )
-        before, now = (int(one["low"] > 0) - int(one["high"] < 0) for one in both)
-        found = dict(zip(("plan 5", "now"), (effect(one, "crashed") for one in both), strict=True))
-        lines.append({"task": task, "traffic": traffic, **found, "": BECAME[before, now]})
+        for both in zip(before, now, strict=False):  # one of each, or none
+            sides = tuple(int(one["low"] > 0) - int(one["high"] < 0) for one in both)
+            found = dict(zip(("plan 5", "now"), (effect(one, "crashed") for one in both), strict=True))
+            lines.append({"setting": f"{task} {name}", "traffic": traffic, **found, "": BECAME[sides]})
     return _markdown(lines)
 
 
@@ -200,8 +206,8 @@ def _markdown(lines: list[dict[str, str]]) -> str:
 
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(answer, beside_plan_5, by_task.difference, checks, entries, events_per_hour, failing, from_moments),
-    *(readme_agents, row, signs, study, trainings, validation, verdict),
+    *(answer, beside_plan_5, by_task.difference, checks, denser, entries, events_per_hour, failing),
+    *(from_moments, readme_agents, row, signs, study, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 # Their files are in docs/img; study: of each task's lightest traffic.

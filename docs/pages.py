@@ -108,12 +108,6 @@ def skill_or_caution() -> pd.DataFrame:
     return takeover.skill_or_caution(moments())
 
 
-def denser() -> str:
-    """What the moments of denser traffic answer, a setting and traffic a line; unadjusted. Empty without any."""
-    rows = takeover.recorded(STUDY, lightest=False)
-    return "" if rows is None else _markdown(takeover.skill_or_caution(rows, "p").to_dict("records"))
-
-
 def signs() -> str:
     """Whether treated agents have less or more of each outcome, as the report shows it."""
     return _markdown(by_task.signs(study(), "sumo", skill_or_caution()).to_dict("records"))
@@ -206,8 +200,8 @@ def _markdown(lines: list[dict[str, str]]) -> str:
 
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    *(answer, beside_plan_5, by_task.difference, checks, denser, entries, events_per_hour, failing),
-    *(from_moments, readme_agents, row, signs, study, trainings, validation, verdict),
+    *(answer, beside_plan_5, by_task.difference, checks, entries, events_per_hour, failing, from_moments),
+    *(readme_agents, row, signs, study, trainings, validation, verdict),
 ]
 FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 # Their files are in docs/img; study: of each task's lightest traffic.

@@ -42,7 +42,7 @@ from sumo_env.tasks import TASKS
 TEMPLATES = ROOT / "docs" / "templates"
 STUDY = ROOT / "results" / "study-6"
 # What became of an effect, by its sides before and now: fewer (-1) or more (1) crashes, 0: not decided.
-BECAME = {(-1, -1): "stands", (1, 1): "stands", (-1, 1): "turns", (1, -1): "turns", (0, 0): ""}
+BECAME = {(-1, -1): "stands", (1, 1): "stands", (-1, 1): "turns", (1, -1): "turns"}
 BECAME |= {(-1, 0): "not decided", (1, 0): "not decided", (0, -1): "new", (0, 1): "new"}
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
@@ -137,7 +137,7 @@ def from_moments(task: str, traffic: str) -> dict[str, float]:
 def beside_plan_5() -> str:
     """The effects on crashes by plan 5 and here, in the settings of both, and what became of the first.
 
-    An effect is one whose 95 % interval excludes 0.
+    An effect is one whose 95 % interval excludes 0; without one by either plan there is no line.
     """
     earlier = pd.read_csv(ROOT / "results" / "plan_v5.csv").rename(columns={"difference": "estimate"})
     earlier = chosen(earlier, tested_on="sumo", outcome="crashed").assign(status="ok")
@@ -145,12 +145,11 @@ def beside_plan_5() -> str:
     effects = chosen(study().effects, backend="sumo", outcome="crashed", **arms)
     places = product([(task, name) for task in GRID for name in GRID[task]], ("risky", "regular"))
     for (task, name), traffic in places:
-        before, now = (
-            chosen(earlier, scope=f"{task}-{name}", traffic=traffic).to_dict("records"),
-            chosen(effects, task=task, level_name=name, term=traffic).to_dict("records"),
-        )
+        before = chosen(earlier, scope=f"{task}-{name}", traffic=traffic).to_dict("records")
+        now = chosen(effects, task=task, level_name=name, term=traffic).to_dict("records")
         for both in zip(before, now, strict=False):  # one of each, or none
-            sides = tuple(int(one["low"] > 0) - int(one["high"] < 0) for one in both)
+            if (sides := tuple(int(one["low"] > 0) - int(one["high"] < 0) for one in both)) == (0, 0):
+                continue
             found = dict(zip(("plan 5", "now"), (effect(one, "crashed") for one in both), strict=True))
             lines.append({"setting": f"{task} {name}", "traffic": traffic, **found, "": BECAME[sides]})
     return _markdown(lines)

@@ -148,10 +148,11 @@ def beside_plan_5() -> str:
         before = chosen(earlier, scope=f"{task}-{name}", traffic=traffic).to_dict("records")
         now = chosen(effects, task=task, level_name=name, term=traffic).to_dict("records")
         for both in zip(before, now, strict=False):  # one of each, or none
-            if (sides := tuple(int(one["low"] > 0) - int(one["high"] < 0) for one in both)) == (0, 0):
-                continue
-            found = dict(zip(("plan 5", "now"), (effect(one, "crashed") for one in both), strict=True))
-            lines.append({"setting": f"{task} {name}", "traffic": traffic, **found, "": BECAME[sides]})
+            was, became = (int(one["low"] > 0) - int(one["high"] < 0) for one in both)
+            if was or became:
+                found = dict(zip(("plan 5", "now"), (effect(one, "crashed") for one in both), strict=True))
+                place = {"setting": f"{task} {name}", "traffic": traffic}
+                lines.append({**place, **found, "": BECAME[was, became]})
     return _markdown(lines)
 
 

@@ -59,7 +59,7 @@ class Options:
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     pack: bool = False
-    """Instead move the finished cells into parts, a file for each arm of a setting."""
+    """Instead move the finished cells into parts, a file for each setting."""
 
 
 def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | None = None) -> Path:

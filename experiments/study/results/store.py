@@ -1,7 +1,7 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice.
 
 DIR/cells/CELL.parquet     a finished cell: its test episodes and its record (see `parquet`)
-DIR/parts/PART.parquet     the cells of one arm of a setting in one such file, which is written once (`Store.pack`)
+DIR/parts/PART.parquet     the cells of a setting in one such file, which is written once (`Store.pack`)
 DIR/weights/CELL.npz, DIR/training/CELL.parquet     of agents: their weights, and a row a training episode
 DIR/work/CELL/             a cell in progress or given up: lock, log of what went wrong (see `run`)
 DIR/damaged/               what was put aside because it was damaged
@@ -234,7 +234,7 @@ class Store:
         return folder
 
     def pack(self) -> list[str]:
-        """Move the finished cells into parts, one for each arm of a setting; returns their names.
+        """Move the finished cells into parts, one for each setting; returns their names.
 
         A part is written once and read back before the files of its cells go. Cells that are finished later make a part
         of their own. A kill at any moment leaves each cell in at least one of both.
@@ -248,8 +248,7 @@ class Store:
             own = sorted(path.stem for path in self.cells.glob("*.parquet"))
             for name in own:
                 self.tables(name)
-                key = self.record(name)["key"]
-                groups.setdefault(f"{setting(key)}-{key['arm'] or 'policies'}", []).append(name)
+                groups.setdefault(setting(self.record(name)["key"]), []).append(name)
             for part, names in groups.items():
                 if new := [name for name in names if name not in packed]:
                     path = made(self.parts) / f"{part}-{sha256_bytes(' '.join(new).encode())[:8]}.parquet"

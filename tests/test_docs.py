@@ -7,6 +7,7 @@ import re
 from ast import literal_eval
 from collections import Counter
 from collections.abc import Iterable
+from itertools import dropwhile, takewhile
 from pathlib import Path
 
 import gymnasium as gym
@@ -21,8 +22,9 @@ from sumo_env.scenarios import NetworkTask
 from sumo_env.tasks import TASKS
 from tests.processes import ROOT, python_again
 from tests.tasks import OF_HIGHWAY_ENV, every_task
-from tests.texts import PAGES, TEXTS, page, section, table
 
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
 names = [str(page.relative_to(ROOT)) for page in PAGES]
 each_page = pytest.mark.parametrize("page", PAGES, ids=names)
 SNIPPETS = [
@@ -32,6 +34,26 @@ SNIPPETS = [
         re.findall(r"^```python\n(.*?)^```", TEXTS[page], re.DOTALL | re.MULTILINE), 1
     )
 ]
+
+
+def section(text: str, title: str) -> str:
+    """What stands under a heading, subsections included."""
+    found = re.search(rf"^(#+) {re.escape(title)}\n(.*?)(?=^\1 |\Z)", text, re.DOTALL | re.MULTILINE)
+    assert found, f"no section {title!r}"
+    return found[2]
+
+
+def table(text: str) -> dict[str, list[str]]:
+    """The rows of the first table of a text: first cell -> the other cells, backticks removed from the first."""
+    rows = dropwhile(lambda line: not line.startswith("|"), text.splitlines())
+    lines = list(takewhile(lambda line: line.startswith("|"), rows))[2:]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return {first.strip("`"): others for first, *others in cells}
+
+
+def page(name: str) -> str:
+    """The text of a page of docs/."""
+    return TEXTS[ROOT / "docs" / name]
 
 
 # -- what is named exists ----------------------------------------------------------------------------------------------

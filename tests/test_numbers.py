@@ -23,7 +23,7 @@ from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID, VARIANTS
 from experiments.study.design.traffic import TRAFFICS
 from tests.processes import ROOT
-from tests.texts import TEXTS, page, section, table
+from tests.test_docs import TEXTS, page, section, table
 
 
 def test_doses_in_units_of_the_road_are_those_of_the_table() -> None:

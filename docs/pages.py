@@ -41,9 +41,8 @@ from sumo_env.tasks import TASKS
 
 TEMPLATES = ROOT / "docs" / "templates"
 STUDY = ROOT / "results" / "study-6"
-# What became of an effect, by its sides before and now: fewer (-1) or more (1) crashes, 0: not decided.
-BECAME = {(-1, -1): "stands", (1, 1): "stands", (-1, 1): "turns", (1, -1): "turns"}
-BECAME |= {(-1, 0): "not decided", (1, 0): "not decided", (0, -1): "new", (0, 1): "new"}
+# What became of an effect, by its side before times its side now (-1: fewer crashes, 1: more, 0: not decided).
+BECAME = {1: "stands", -1: "turns", 0: "not decided"}
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 
 
@@ -152,7 +151,7 @@ def beside_plan_5() -> str:
             if was or became:
                 found = dict(zip(("plan 5", "now"), (effect(one, "crashed") for one in both), strict=True))
                 place = {"setting": f"{task} {name}", "traffic": traffic}
-                lines.append({**place, **found, "": BECAME[was, became]})
+                lines.append({**place, **found, "": BECAME[was * became] if was else "new"})
     return _markdown(lines)
 
 
@@ -185,12 +184,9 @@ def events_per_hour(task: str) -> float:
     return 3600 * (rates.cut_in + rates.brake + rates.surge)
 
 
-def arrow(row: dict[str, Any], bold: bool = False) -> str:
-    """From control to treated agents, "38.4→34.2"; bold where the interval of the difference excludes 0."""
-    control, treated = (
-        points(row[side], row["outcome"], signed=False) for side in ("mean_against", "mean_arm")
-    )
-    return f"{control}→**{treated}**" if bold and row["low"] * row["high"] > 0 else f"{control}→{treated}"
+def arrow(row: dict[str, Any]) -> str:
+    """From control to treated agents, "38.4→34.2"."""
+    return "→".join(points(row[side], row["outcome"], signed=False) for side in ("mean_against", "mean_arm"))
 
 
 def _markdown(lines: list[dict[str, str]]) -> str:

@@ -69,6 +69,8 @@ def test_drivers_without_foresight_are_the_marks_of_returns(
     asked: dict[str, Any] = {"backend": "sumo", "tasks": ("u-turn",), "levels": (1,)}
     found = ask(tmp_path, **asked, policies=("control",), scenarios=3, update=True)
     assert read_json(stored) == found
+    sizes = {one.who: one.size for one in attainable.batches(attainable.Options(out=tmp_path, **asked))[0]}
+    assert sizes["planner"] > sizes["idm"]  # by which the time that is left is estimated
     for place, of in found.items():
         kinds = {name: one["kind"] for name, one in of["drivers"].items()}
         assert {name for name, kind in kinds.items() if kind == "constant"} == {

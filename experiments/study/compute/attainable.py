@@ -15,6 +15,7 @@ from experiments.study.compute import batches
 from experiments.study.compute.entrants import Entrant, Env, Made
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.foresight import Driven, batch_of_one, search
+from experiments.study.compute.progress import step_cost
 from experiments.study.design.attainable import SEARCH
 from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import task_of
@@ -69,6 +70,11 @@ class Batch(batches.Batch):
     def episodes(self) -> dict[str, range]:
         """Numbers of the scenarios."""
         return {"scenario": range(self.first, self.first + self.count)}
+
+    @property
+    def size(self) -> float:
+        """A planner's episodes take long."""
+        return self.count * step_cost(self.who, "sumo")
 
     def drive(self) -> Iterator[dict[str, Any]]:
         """Drive or search them."""

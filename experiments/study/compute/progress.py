@@ -22,13 +22,18 @@ EVERY = 15.0  # [s] between two lines where there is no terminal
 WINDOW = 600.0  # [s] of which the speed is taken
 
 
+def step_cost(policy: str, simulator: str) -> float:
+    """Expected time of a policy step on one core of a common server [s]."""
+    return PLANNING if policy in ("planner", "clairvoyant") else STEP[simulator]
+
+
 def costs(cell: Cell) -> tuple[float, float]:
     """Expected times of a cell's training and of its tests on one core of a common server [s]."""
     steps, updates = cell.budget
     update = COMPILED if cell.kind == "agent" and "numba" in cell.versions else UPDATE
-    step = PLANNING if cell.policy in ("planner", "clairvoyant") else STEP[cell.runs_on]
     length = cell.env_config.get("duration", LENGTH)
-    return updates * update + steps * STEP[cell.backend], cell.work * length * step
+    tests = cell.work * length * step_cost(cell.policy, cell.runs_on)
+    return updates * update + steps * STEP[cell.backend], tests
 
 
 def seconds(cell: Cell) -> float:

@@ -104,10 +104,10 @@ def test_the_checks_of_the_validation_are_counted() -> None:
 
 def episodes_of(setting: str, arm: str, traffic: str) -> list[dict[str, Any]]:
     """The stored test episodes of an arm's agents at home."""
-    [file] = (ROOT / "results" / "study-6" / "parts").glob(f"sumo-{setting}-{arm}-*.parquet")
-    rows = pq.read_table(file).to_pylist()
+    files = (ROOT / "results" / "study-6" / "parts").glob(f"sumo-{setting}-*.parquet")
+    rows = [row for file in files for row in pq.read_table(file).to_pylist()]
     mine = [row for row in rows if (row["purpose"], row["traffic"]) == ("test", traffic)]
-    return [row for row in mine if not re.search("-on-replica-|-unseen-", row["cell"])]
+    return [row for row in mine if re.match(rf"sumo-{setting}-{arm}-s\d+-\w+$", row["cell"])]
 
 
 def test_numbers_of_the_study_are_those_of_its_stored_episodes() -> None:

@@ -26,15 +26,15 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing import get_context
 from multiprocessing.managers import BaseManager
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import gymnasium as gym
 import numpy as np
 import pandas as pd
 
 from experiments.backends import make_env
-from experiments.study.design.levels import StudyTasks, choose_tasks
-from experiments.support.arguments import command
+from experiments.study.design.levels import choose_tasks
+from experiments.support.arguments import argument, command
 from experiments.support.errors import writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
@@ -226,7 +226,8 @@ class Options:
     """Directory for benchmark.json."""
     quick: bool = False
     """Fewer and shorter turns."""
-    tasks: StudyTasks = ()
+    tasks: Annotated[tuple[str, ...], argument("TASK ...", "those of the study")] = ()
+    """Which tasks."""
     parts: tuple[Literal["env", "peers", "batches"], ...] = ("env", "peers", "batches")
     """What to measure (the last two with EnvPool where it is installed)."""
 
@@ -254,6 +255,7 @@ def run(options: Options) -> dict[str, Any]:
 
 def main(options: Options) -> int:
     """Do what the options ask for; returns the exit status."""
+    choose_tasks(options.tasks)
     with writing(options.out):
         run(options)
     return 0

@@ -45,8 +45,8 @@ from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, tasks_known
 from experiments.study.design.sheet import task_of
 from experiments.study.replaying.crash import Crash, beside_another, worst_crashes
-from experiments.support.arguments import Flag, as_typed, command
-from experiments.support.errors import UserError, check_known, writing
+from experiments.support.arguments import Flag, argument, as_typed, command
+from experiments.support.errors import UserError, check_known, check_least, writing
 from experiments.support.files import read_json, sha256_bytes, write_file, write_json, write_lines
 from experiments.support.films import save_gif
 from experiments.support.provenance import provenance
@@ -72,6 +72,8 @@ class Options:
     film: Flag = False
     """Film the worst crash of each task, the one at the highest closing speed, beside the first of careful, sumo and
     slower that does not crash there: POLICY-TASK.gif in the directory of the card."""
+    workers: Annotated[int | None, argument("N", "the number of cores")] = None
+    """Processes."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/card")
     """Directory for card.json and card.html, which are written anew."""
     entry: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
@@ -85,6 +87,7 @@ def drivers(options: Options) -> dict[Place, Entrant]:
         UserError: there is no such policy or task, or it was not trained for one.
     """
     check_known("task", options.tasks, tasks_known())
+    check_least(options, workers=1)
     places = [(task, level) for task in options.tasks or tasks_known() for level in levels_of(task)]
     who = entrants(options.policy, places, options.agent)
     if not options.tasks:
@@ -115,7 +118,7 @@ def evaluated(
     check_dynamics(("sumo", task_of(task)) for task in tasks)
     groups = {group: list(own) for group, own in groupby(scenarios, lambda one: one.group)}
     who = resolved(who, groups)
-    driven, failed = take(who, groups)
+    driven, failed = take(who, groups, options.workers)
     found = list(rows(whole(driven))) if driven else []
     if not found:
         raise UserError(next(iter(failed.values())))
@@ -134,10 +137,10 @@ def evaluated(
         "rows": found,
     }
     others = {group: own for group, own in groups.items() if own[0].task not in SETTINGS}
-    return card, beside(others, card), worst_crashes(who, groups, driven)
+    return card, beside(others, card, options.workers), worst_crashes(who, groups, driven)
 
 
-def beside(groups: Mapping[str, list[BenchmarkScenario]], card: Card) -> dict[str, Card]:
+def beside(groups: Mapping[str, list[BenchmarkScenario]], card: Card, workers: int | None) -> dict[str, Card]:
     """The cards of drivers of fixed rules in these groups of scenarios, by name; of a rule that fits."""
     found: dict[str, Card] = {}
     for rule in POLICIES if groups else ():
@@ -148,7 +151,7 @@ def beside(groups: Mapping[str, list[BenchmarkScenario]], card: Card) -> dict[st
             print(f"not beside {rule}: {error}")
             continue
         print(f"beside {rule}:")
-        driven, _ = take(who, groups)
+        driven, _ = take(who, groups, workers)
         found[rule] = {"set": card["set"], "rows": list(rows(whole(driven)))}
     return found
 

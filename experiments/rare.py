@@ -68,7 +68,7 @@ class Options:
     task: TaskName
     """Task that is driven."""
     level: str = ""
-    """Its traffic level by name; by default the lightest."""
+    """Its traffic level by name (of u-turn 3, 6, 9 or 12), not by number; by default the lightest."""
     rates: str = "1e-4:1"
     """Rates of events, 1 for those at dose 1: LOW:HIGH (two in each decade), or some with commas between."""
     episodes: int = 5000

@@ -39,7 +39,7 @@ from experiments.study.design.levels import OwnTasks
 from experiments.study.results.loaded import load
 from experiments.study.results.schema import COLUMNS
 from experiments.study.results.store import Store
-from experiments.support.arguments import command
+from experiments.support.arguments import argument, command
 from experiments.support.errors import UserError, in_words, writing
 from experiments.support.files import write_file
 
@@ -53,11 +53,12 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
-    others: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")] = ()
+    others: Annotated[tuple[Path, ...], tyro.conf.Positional, argument("[OTHER ...]")] = ()
     """Other directories. Effects in the settings that all of them have are shown side by side."""
     tasks: OwnTasks = ()
-    outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
-    """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
+    outcome: Annotated[tuple[str, ...], argument("FILE:NAME ...")] = ()
+    """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`
+    (docs/developers/extending.md)."""
     pack: bool = False
     """Instead move the finished cells into parts, a file for each setting."""
 

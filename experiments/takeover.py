@@ -74,7 +74,7 @@ class Options:
     task: TaskName
     """Task that is driven."""
     level: str = ""
-    """Its traffic level by name; by default the lightest."""
+    """Its traffic level by name (of u-turn 3, 6, 9 or 12), not by number; by default the lightest."""
     config: Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ..")] = ()
     """Keys of the environment's configuration that both were trained with (values as in JSON, or plain words); what
     stored agents observe is known."""

@@ -301,14 +301,23 @@ def ignore(where: str, key: str, hint: str) -> None:
     warn_once(told if hint.startswith("known:") else f"{told}; {hint}")
 
 
-def tell_of_steps(frequency: int) -> None:
-    """Warn where SUMO's step, a whole number of milliseconds, is more than 1 % off that of a frequency [Hz]."""
+def tell_of_steps(frequency: int, policy: int, is_sumo: bool) -> None:
+    """Warn where steps last otherwise than the frequencies of the simulation and of the policy say [Hz].
+
+    SUMO's step is a whole number of milliseconds, which is told if it is more than 1 % off.
+    """
     step = 1000.0 / frequency
     error = round(step) / step - 1.0
-    if abs(error) > STEP_ERROR:
+    if is_sumo and abs(error) > STEP_ERROR:
         warn_once(
             f"SUMO's steps are whole milliseconds: at a 'simulation_frequency' of {frequency} Hz its clock and "
             f"vehicles are {error:+.0%} off; choose one that divides 1000"
+        )
+    if frequency % policy:
+        warn_once(
+            f"a policy step lasts {1.0 / pace(frequency, policy):.3g} s, not 1/{policy} s: a whole number of simulation"
+            f" steps, {frequency} a second, while 'duration' and env.unwrapped.time count policy steps, as in "
+            f"highway-env; choose a 'policy_frequency' that divides {frequency}"
         )
 
 

@@ -116,7 +116,7 @@ class Simulator(Protocol):
         """
 
     def step(self, commands: Any, trace: bool = False) -> Step:
-        """Drive one policy step: ``1 / scenario.policy_frequency`` seconds in sub-steps of the simulation frequency.
+        """Drive one policy step: ``simulation_frequency // policy_frequency`` sub-steps of the scenario.
 
         `Commands` are an `EgoCommand` for each learning car or, for a simulator that can steer, a `SteeringCommand`.
         SUMO drives a learning car without a command; the replica goes on with the targets that such a car has.

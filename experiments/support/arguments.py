@@ -63,11 +63,10 @@ def parsed(
     """
     words = split_arguments(arguments, options)
     hints = get_type_hints(options, include_extras=True)
-    unnamed = [
-        name for name, hint in hints.items() if tyro.conf.Positional in getattr(hint, "__metadata__", ())
-    ]
+    marks: list[Any] = [getattr(hint, "__metadata__", ()) for hint in hints.values()]
+    unnamed = [own[-1].metavar for own in marks if tyro.conf.Positional in own]
     if unnamed and words and words[0].startswith("--") and not {"-h", "--help"} & set(words):
-        raise UserError(f"{unnamed[0].upper()} is missing: name it before the options")
+        raise UserError(f"{unnamed[0]} is missing: name it before the options")
     usual = default(words) if default else tyro.MISSING_NONPROP
     config = (tyro.conf.FlagCreatePairsOff,)
     return tyro.cli(options, args=words, default=usual, description=about, config=config)

@@ -17,6 +17,8 @@ NEEDED = (
 )  # extra [study]
 
 if missing := [name for name in NEEDED if find_spec(name) is None]:
+    if {"-h", "--help"} & set(sys.argv):
+        print(getattr(sys.modules["__main__"], "__doc__", ""))
     sys.stderr.write(
         f"error: {', '.join(missing)} not installed for {sys.executable}: run make setup first, and then "
         ". .venv/bin/activate (or pip install '.[study]')\n"

@@ -155,8 +155,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         if offered.action_type.names:
             self._access.refuse_backwards("'target_speeds'", offered.action_type.target_speeds[0])
         self._access.refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
-        if self._access.is_sumo:
-            tell_of_steps(self.task.frequency(changed))
+        tell_of_steps(self.task.frequency(changed), int(changed["policy_frequency"]), self._access.is_sumo)
         return changed, is_raised, offered
 
     def _take(self, config: Config, is_raised: bool, offered: Interface) -> None:

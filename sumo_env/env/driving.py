@@ -38,8 +38,9 @@ class DrivingEnv(ReadAsHighwayEnv):
     """A driving task on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
-    task. One policy step lasts ``1 / policy_frequency`` s. Any number of environments may live in one process: libsumo
-    supports one simulation per process, so the first environment has it and every further one gets a worker process.
+    task. One policy step lasts ``1 / policy_frequency`` s, if it divides `simulation_frequency`. Any number of
+    environments may live in one process: libsumo supports one simulation per process, so the first environment has it
+    and every further one gets a worker process.
 
     A subclass may override `_reward`, `_rewards`, `_is_terminated`, `_is_truncated` and `default_config`, as in
     highway-env; overriding a method of highway-env's that nothing calls here is a TypeError.

@@ -115,7 +115,7 @@ def compile_notice(function: Any) -> Iterator[None]:
             yield
             return
         start = time.perf_counter()
-        notice = "sumo_env: Numba compiles highway-env's physics, once for this installation ..."
+        notice = "sumo_env: Numba compiles highway-env's physics, once for this installation: about half a minute ..."
         print(notice, file=sys.stderr, flush=True)
         yield
         print(f"sumo_env: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)

@@ -184,7 +184,7 @@ def test_who_drives_where() -> None:
 @pytest.mark.parametrize(
     ("policy", "words"),
     [
-        ("mine.py", "mine.py is a file: .* named as mine.py:make"),
+        ("mine.py", "mine.py is no zip file; .* named as mine.py:make"),
         ("results/mine", "there is no directory results/mine"),
         ("u-turn-3/contrl", "did you mean 'u-turn-3/control'|unknown policy"),
     ],

@@ -193,10 +193,12 @@ def _published(policy: str) -> list[Entrant]:
             seen = about["config"].get("observation")
             found.append(Entrant(name, place, partial(_loaded, name), observation=seen))
     if not found and Path(policy).is_file():
-        raise UserError(f"{policy} is a file: what makes a policy in a Python file is named as {policy}:make")
+        raise UserError(
+            f"{policy} is no zip file; what makes a policy in a Python file is named as {policy}:make"
+        )
     words = {word for name in cards for word in name.split("/")}
     if not found and "/" in policy and words.isdisjoint(policy.split("/")):
-        raise UserError(f"there is no directory {policy}")
+        raise UserError(f"there is no directory {policy}: python experiments/train.py --out {policy}")
     if not found:
         raise unknown("policy", policy, [*RULES, *arms, "FILE:MAKE", "a zip file", "a directory"])
     return found

@@ -94,14 +94,14 @@ def resolved(
 
 
 def take(
-    who: Mapping[Place, Entrant], groups: Mapping[str, list[BenchmarkScenario]]
+    who: Mapping[Place, Entrant], groups: Mapping[str, list[BenchmarkScenario]], workers: int | None = None
 ) -> tuple[dict[str, tuple[pd.DataFrame, str]], dict[str, str]]:
-    """Drive groups of scenarios in processes. who: as `resolved`.
+    """Drive groups of scenarios in processes, one a core unless said. who: as `resolved`.
 
     Returns:
         What `drive` returns of each group, and of those that could not be driven the reason.
     """
-    executor = LocalExecutor(min(cores(), len(groups)))
+    executor = LocalExecutor(min(workers or cores(), len(groups)))
     found, failed = dict[str, tuple[pd.DataFrame, str]](), dict[str, str]()
     try:
         futures = {

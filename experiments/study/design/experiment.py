@@ -101,7 +101,7 @@ class Experiment:
     """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
     settings: Annotated[Names, argument("KEY=VALUE ...", "the learner's")] = ()
     """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/sb3.py), and rules of
-    the training, for example training_clock=[15,15] (study/design/training_rules.py)."""
+    the training, for example training_clock=[15,15] (experiments/study/design/training_rules.py)."""
     network: Annotated[str | None, argument("NAME", "the learner's")] = None
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[Names, argument("FILE:MAKE ...")] = ()

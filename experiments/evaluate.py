@@ -203,7 +203,8 @@ def evaluate(options: Options, arguments: Sequence[str]) -> int:
         write_file(options.out / PAGE, page(card, others).encode())
     shown = part(texts({"": card}, card["set"]), driver="", level=ALL)
     met = sum(bool(other["set"].items() & card["set"].items()) for other in others.values())
-    print(f"{shown.to_string(index=False)}\ncard, beside {met} others: {options.out / PAGE}")
+    print(f"{shown.to_string(index=False)}\nmeans of {', '.join(card['drivers'])}")
+    print(f"card, beside {met} others: {options.out / PAGE}")
     if card["changed"]:
         print(f"not the frozen scenarios: {', '.join(card['changed'])} are drawn otherwise by this code")
     for group, reason in card["failed"].items():

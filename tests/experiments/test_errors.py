@@ -24,6 +24,7 @@ from experiments.sweep import Options, sweep
 from tests.experiments.computed import TINY
 from tests.experiments.fake_env import make_env
 from tests.experiments.study.test_experiment import cells
+from tests.processes import ended
 
 FILES = {
     "mine.py": "class Mine:\n    def __init__(self, env): pass\n    def act(self, observation): return 4\n",
@@ -151,3 +152,14 @@ def test_what_is_asked_for_is_refused_in_one_line(call, word: str, tmp_path: Pat
         call()
     assert word in str(caught.value) and "\n" not in str(caught.value)
     assert not Path("results").exists()
+
+
+def test_help_is_shown_even_where_packages_are_missing() -> None:
+    """Beside the sentence about what has to be installed."""
+    lines = (
+        "import runpy, sys",
+        "sys.modules['tyro'], sys.argv = None, ['evaluate.py', '--help']",
+        "runpy.run_path('experiments/evaluate.py', run_name='__main__')",
+    )
+    done = ended("-c", "\n".join(lines))
+    assert done.returncode == 2 and "frozen test" in done.stdout and "tyro not installed" in done.stderr

@@ -152,7 +152,8 @@ def test_tasks_are_on_the_side_that_the_plan_or_their_interval_says() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stage", "words"), [("", "No stage"), ("a", "is the first of 3"), ("c", "are 3 of 3")]
+    ("stage", "words"),
+    [("", "No stage"), ("a", "is the first of 3"), ("b", "are 2 of 3"), ("c", "All 3 stages")],
 )
 def test_the_complete_stages_of_a_plan_are_counted(stage: str, words: str) -> None:
     shown = {"plan": {"stages": dict.fromkeys("abc")}, "notes": {"stage": stage}}

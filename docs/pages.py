@@ -30,7 +30,7 @@ from experiments import evaluate
 from experiments.reporting import by_task, takeover
 from experiments.reporting.arrows import crashes_against_speed
 from experiments.reporting.card import ALL, card_figure
-from experiments.reporting.figures import alone
+from experiments.reporting.figures import against_traffic, alone
 from experiments.reporting.page import lightest
 from experiments.reporting.rare import doses_figure, rare_figure
 from experiments.reporting.tables import chosen, effect, interval, plain, points
@@ -203,6 +203,7 @@ FILTERS: list[Callable[..., str]] = [arrow, effect, interval, plain, points]
 # Their files are in docs/img; study: of each task's lightest traffic.
 FIGURES: dict[str, Callable[[], str]] = {
     "study": lambda: crashes_against_speed(lightest(study().drivers), "study"),
+    "traffic": lambda: against_traffic(chosen(study().policies, backend="sumo"), "study"),
     "takeover": lambda: takeover.danger_figure(moments()),
     "entries": entries_figure,
     "settings": learning_curves,

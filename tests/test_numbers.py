@@ -16,9 +16,10 @@ from matplotlib.axes import Axes
 from pytest import approx
 
 from docs import pages, settings
-from experiments.analysis.plan import DENSEST, LIGHTEST
+from experiments.analysis.plan import DENSEST
 from experiments.reporting.figures import alone
 from experiments.reporting.rare import MEASURED
+from experiments.reporting.tables import chosen
 from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID, VARIANTS
 from experiments.study.design.traffic import TRAFFICS
@@ -114,7 +115,7 @@ def test_numbers_of_the_study_are_those_of_its_stored_episodes() -> None:
     """Of a task the mean over its settings."""
     place = {"scope": "u-turn", "traffic": "regular", "tested_on": "sumo"}
     close, near_misses = list[float](), list[float]()
-    for _, level in DENSEST[-1:] + LIGHTEST[-1:]:
+    for level in GRID["u-turn"]:
         treated = episodes_of(f"u-turn-{level}", "treatment", "regular")
         assert len(treated) == 5 * 400
         close.append(sum(row["min_ttc"] < 1 for row in treated) / 2000)
@@ -130,7 +131,7 @@ def test_numbers_of_the_study_are_those_of_its_stored_episodes() -> None:
     assert found["mean_arm"] == approx(fmean(near_misses))
 
     arms = [pages.failing(arm) for arm in ("control", "treatment")]
-    assert sum(arm["passed"] for arm in arms) == pages.failing()["passed"] and arms[0]["of"] == 50
+    assert sum(arm["passed"] for arm in arms) == pages.failing()["passed"] and arms[0]["of"] == 90
     assert pages.events_per_hour("u-turn") == approx(3600 / 5 + 3600 / 10)  # docs/traffic-and-risk.md
 
 
@@ -156,8 +157,8 @@ def test_readme_s_sentences_are_what_the_study_decided() -> None:
     """In their order: fewer crashes in risky traffic, more and fewer in regular traffic, caution, skill."""
     verdicts, answers = pages.study().primary, pages.skill_or_caution()
     of = {name: set(own["scope"]) for name, own in verdicts.groupby(["term", "verdict"])}
-    assert of["risky", "less"] == {"highway", "roundabout", "intersection", "u-turn"}
-    assert of["regular", "more"] == {"highway", "two-way", "intersection"}
+    assert of["risky", "less"] == {*GRID}
+    assert of["regular", "more"] == {"two-way", "intersection"}
     assert of["regular", "less"] == {"roundabout", "u-turn"}
     became = [line.split("|") for line in pages.beside_plan_5().splitlines()]
     dense = [f" {task} {level} " for task, level in DENSEST]
@@ -173,6 +174,24 @@ def test_readme_s_sentences_are_what_the_study_decided() -> None:
     assert set(careful) == {*product(("roundabout", "u-turn"), TRAFFICS)}
     assert set(skilled) == {(task, "risky") for task in answers["task"]}
     assert [*who.index[who["who is more skilled"] == "control agents"]] == [("two-way-brakes", "regular")]
+
+
+def test_what_the_study_says_of_levels_is_what_their_intervals_say() -> None:
+    def sides(task: str, traffic: str, outcome: str = "crashed") -> dict[str, int]:
+        place = {"term": traffic, "outcome": outcome, "arm": "treatment", "against": "control"}
+        levels = chosen(pages.study().effects, backend="sumo", task=task, **place).to_dict("records")
+        return {one["level_name"]: int(one["low"] > 0) - int(one["high"] < 0) for one in levels}
+
+    assert sides("highway", "regular") == {"50": 0, "100": -1, "150": 1}
+    assert sides("intersection", "regular") == {"10": 0, "15": 0, "20": 1, "25": 1, "30": 1}
+    assert sides("two-way", "regular") == {"5+2": 1, "10+4": 1}
+    densest = {task: [*sides(task, "risky").values()][-1] for task in GRID}
+    assert densest == {**dict.fromkeys(GRID, 0), "u-turn": -1}
+    assert sides("highway", "risky", "mean_speed") == {"50": 0, "100": -1, "150": 0}
+    assert sides("roundabout", "risky", "mean_speed") == {"5": -1, "10": -1, "15": 0}
+    assert set(sides("u-turn", "risky", "mean_speed").values()) == {-1}
+    replica = pages.row("by_task", scope="two-way", traffic="risky", tested_on="replica", outcome="crashed")
+    assert replica["low"] < 0 < replica["high"]
 
 
 def test_what_became_of_an_effect_follows_from_both_intervals() -> None:

@@ -1,12 +1,16 @@
-"""Commands whose tests are not about processes."""
+"""Commands whose tests are not about processes, and a finished sweep of the fake environment."""
 
 from __future__ import annotations
 
+import shutil
 from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
+
+from tests.experiments.computed import sweep_of
 
 
 @pytest.fixture
@@ -25,3 +29,17 @@ def words_alone() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("experiments.reporting.page.drawn", lambda *_: defaultdict(lambda: None))
         yield
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep, which no test changes."""
+    directory = tmp_path_factory.mktemp("finished") / "results"
+    sweep_of(directory)
+    return directory
+
+
+@pytest.fixture
+def results(finished: Path, tmp_path: Path) -> Path:
+    """A copy of it, which a test may change."""
+    return shutil.copytree(finished, tmp_path / "results")

@@ -22,7 +22,7 @@ def announce() -> None:
     """Say that the network is compiled, unless the machine code is on the disk."""
     folder = forward.stats.cache_path
     if not (folder and [*Path(folder).glob("kernels.forward-*.nbi")]):
-        text = "agents: Numba compiles the network, once for this installation: about half a minute ..."
+        text = "agents: Numba compiles the network, once for this installation ..."
         print(text, file=sys.stderr, flush=True)
 
 

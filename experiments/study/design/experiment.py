@@ -56,7 +56,7 @@ class Experiment:
     """
 
     preset: Annotated[str, argument("NAME")]
-    """Size: smoke (a minute), quick (10 minutes), study, paper (hours). All defaults below are this one's."""
+    """Size: smoke (a minute), quick (10 to 20 minutes), study, paper (hours). All defaults below are this one's."""
     about: Hidden[str]
     learners: Hidden[Callable[[Sheet], Mapping[str, Any]]]
     backend: Annotated[str, argument("NAME")] = "sumo"

@@ -74,7 +74,7 @@ PRESETS = {
         ),
         Experiment(
             preset="quick",
-            about="all five tasks in their lightest traffic, three seeds an arm: about 10 minutes on two cores",
+            about="all five tasks in their lightest traffic, three seeds an arm: 10 to 20 minutes on two cores",
             levels=(1,),
             seeds=3,
             episodes=50,

@@ -62,7 +62,9 @@ SHOWN = {
 class Options:
     """Say how often policies crash where risk events are as rare as on a road."""
 
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ..")]
+    policies: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...", help_behavior_hint="")
+    ]
     """Published agents (treatment, u-turn-3/treatment), zip files of Stable-Baselines3, FILE:MAKE, directories of
     results, or drivers of fixed rules (careful-4)."""
     task: TaskName

@@ -51,7 +51,7 @@ from experiments.study.design.sheet import task_of
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.takeover import films, most_telling
 from experiments.study.results.parquet import write_part
-from experiments.support.arguments import as_typed, command
+from experiments.support.arguments import argument, as_typed, command
 from experiments.support.errors import UserError, check_known, check_least, in_words, writing
 from experiments.support.files import plain_json, write_file, write_json
 from experiments.support.films import save_film, side_by_side
@@ -75,7 +75,7 @@ class Options:
     """Task that is driven."""
     level: str = ""
     """Its traffic level by name (of u-turn 3, 6, 9 or 12), not by number; by default the lightest."""
-    config: Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE ..")] = ()
+    config: Annotated[tuple[str, ...], argument("KEY=VALUE ...")] = ()
     """Keys of the environment's configuration that both were trained with (values as in JSON, or plain words); what
     stored agents observe is known."""
     traffics: tuple[str, ...] = TRAFFICS

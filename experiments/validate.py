@@ -24,13 +24,12 @@ from html import escape
 from typing import Annotated, Any
 
 import pandas as pd
-import tyro
 
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks
 from experiments.study.design.traffic import TRAFFICS
 from experiments.study.design.verdict import STORED, versions
-from experiments.support.arguments import as_typed, command
+from experiments.support.arguments import argument, as_typed, command
 from experiments.support.errors import UserError, check_least, writing
 from experiments.support.files import read_json, write_file, write_json
 from experiments.support.provenance import provenance
@@ -54,8 +53,8 @@ class Options:
     quick: bool = False
     """Few scenarios and egos, and neither variants of highway-env, highway-env itself nor trained agents."""
     tasks: StudyTasks = ()
-    levels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
-    """Some traffic levels, 1 is the lightest (default: all)."""
+    levels: Annotated[tuple[int, ...], argument("N ...", "all")] = ()
+    """Some traffic levels, 1 is the lightest."""
     scenarios: int = 200
     """Scenarios of each level and traffic; every ego drives each."""
     one_in: int = 20

@@ -21,11 +21,10 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon
+from matplotlib.patches import Rectangle
 
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
-from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
-from sumo_env.networks.lanes import Point
+from sumo_env.networks import lanes
 from sumo_env.networks.mapping import Network, network
 from sumo_env.networks.roads import road
 
@@ -45,7 +44,7 @@ def band(line: np.ndarray) -> np.ndarray:
     """Outline (2n, 2) [m] of a lane about its centre line (n, 2)."""
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    aside = along[:, ::-1] * (-1, 1) * LANE_WIDTH / 2
+    aside = along[:, ::-1] * (-1, 1) * lanes.WIDTH / 2
     return np.concatenate([line + aside, (line - aside)[::-1]])
 
 
@@ -65,7 +64,7 @@ def draw_network(axes: Axes, net: Network, window: Window) -> None:
     axes.set(xlim=window[:2], ylim=window[3:1:-1], xlabel="x [m]", ylabel="y [m], down", aspect="equal")
 
 
-def node(axes: Axes, name: str, place: Point, window: Window) -> None:
+def node(axes: Axes, name: str, place: lanes.Point, window: Window) -> None:
     """Mark one of highway-env's nodes."""
     x, y = place
     axes.plot(x, y, ".", color="#1f6fd0", ms=4, zorder=7)
@@ -92,37 +91,32 @@ def networks() -> None:
             draw_network(axis, network(road(task)), window)
         figure.legend(handles=legend, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
         figure.savefig(IMAGES / "networks" / f"{task}.png", dpi=110, metadata={"Software": None})
-        plt.close(figure)
 
 
 EGO, OTHER, AXIS = "#0072b2", "#d55e00", "#555555"
 
 
-def corners(vehicle: State) -> np.ndarray:
-    """Corners of a vehicle [m], shape (4, 2)."""
+def car(axes: Axes, vehicle: State, colour: str, alpha: float = 0.35) -> Rectangle:
+    """Draw a vehicle."""
     x, y, _, heading = vehicle
-    cos, sin = math.cos(heading), math.sin(heading)
-    local = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (LENGTH / 2, WIDTH / 2)
-    return local @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+    drawn = Rectangle((x - LENGTH / 2, y - WIDTH / 2), LENGTH, WIDTH, rotation_point="center")
+    drawn.set(angle=math.degrees(heading), facecolor=colour, edgecolor=colour, alpha=alpha, lw=1.2)
+    axes.add_patch(drawn)
+    return drawn
 
 
-def car(axes: Axes, vehicle: State, colour: str, alpha: float = 0.35) -> None:
-    """A vehicle as a rectangle."""
-    axes.add_patch(Polygon(corners(vehicle), facecolor=colour, edgecolor=colour, alpha=alpha, lw=1.2))
-
-
-def shadows(axes: Axes, first: State, second: State, heading: float, foot: Point) -> None:
+def shadows(axes: Axes, first: Rectangle, second: Rectangle, heading: float, foot: lanes.Point) -> None:
     """The axis through `foot` along `heading`, and what the two vehicles cover of it."""
     direction = np.array([math.cos(heading), math.sin(heading)])
     aside = np.array([-direction[1], direction[0]])
     axes.plot(*(np.array(foot) + np.outer([-5.0, 6.5], direction)).T, color=AXIS, lw=0.7, ls=":")
     for vehicle, colour, offset in ((first, EGO, 0.12), (second, OTHER, -0.12)):
-        along = (corners(vehicle) - foot) @ direction
+        along = (vehicle.get_corners() - foot) @ direction
         ends = np.array(foot) + np.outer([along.min(), along.max()], direction) + offset * aside
         axes.plot(*ends.T, color=colour, lw=3, solid_capstyle="butt")
 
 
-def panel(axes: Axes, title: str, caption: str, half: float = 6.6, centre: Point = (0.0, 0.0)) -> None:
+def panel(axes: Axes, title: str, caption: str, half: float = 6.6, centre: lanes.Point = (0.0, 0.0)) -> None:
     """The frame of a drawing, `half` as wide and high [m]."""
     x, y = centre
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
@@ -142,10 +136,9 @@ def collisions() -> None:
         gap = separation(ego, other)
         words = f"largest gap {gap:.2f} m" if gap > 0 else f"depth of penetration {-gap:.2f} m"
         panel(axes, title, words)
-        car(axes, ego, EGO)
-        car(axes, other, OTHER)
-        shadows(axes, ego, other, ego[3], (0.0, -3.2))
-        shadows(axes, ego, other, ego[3] + math.pi / 2, (-4.6, 0.5))
+        drawn = car(axes, ego, EGO), car(axes, other, OTHER)
+        shadows(axes, *drawn, ego[3], (0.0, -3.2))
+        shadows(axes, *drawn, ego[3] + math.pi / 2, (-4.6, 0.5))
     # Seen from the ego, which drives as well, the other does not move along its own heading: it slides past the corner.
     heading = math.pi / 4
     middle = np.array([2.5, 1.0]) + (LENGTH / 2 - 0.15) * np.array([math.cos(heading), math.sin(heading)])
@@ -161,7 +154,6 @@ def collisions() -> None:
     grazed.annotate("", last[:2], first[:2], arrowprops={"arrowstyle": "->", "color": AXIS, "lw": 0.8})
     figure.tight_layout()
     figure.savefig(IMAGES / "collisions.png", dpi=110)
-    plt.close(figure)
 
 
 if __name__ == "__main__":

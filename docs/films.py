@@ -15,7 +15,7 @@ import copy
 import re
 import runpy
 import sys
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -130,17 +130,14 @@ def risk() -> None:
     """README's Drive at risk 0, at risk 1, and from the last moment on from which its crash can be avoided."""
     idle, copies, over = 1, [], False
     with ExitStack() as opened:
-
-        def kept(env: Watched) -> Watched:
-            return opened.enter_context(closing(env))
-
         regular, risky = (
-            kept(Watched("highway", {**DRIVE, "risk": dose}, (None, 4.0))) for dose in (0.0, 1.0)
+            opened.enter_context(Watched("highway", {**DRIVE, "risk": dose}, (None, 4.0)))
+            for dose in (0.0, 1.0)
         )
         regular.reset(seed=SEED)
         risky.reset(seed=SEED)
         while not over:
-            copies.append(kept(copy.deepcopy(risky)))
+            copies.append(opened.enter_context(copy.deepcopy(risky)))
             *_, over, _, info = risky.step(idle)
         steps = reversed(range(len(copies)))
         step, free = next((step, free) for step in steps if (free := way_out(copies[step])[0]))

@@ -43,11 +43,13 @@ class Key:
             _check_kind(f"config key {key!r}", self.like if default is None else default, value)
         if not self.within or value is None:
             return
-        if self.is_whole and value != int(value):
-            raise ConfigError(f"config key {key!r} must be a whole number, not {value!r}")
-        least, most = map(float, self.within[1:-1].split(","))
-        if not least <= value <= most or (value == least and self.within[0] == "("):
-            raise ConfigError(f"config key {key!r} must lie in {self.within}, not {value!r}")
+        (least, most), is_open = map(float, self.within[1:-1].split(",")), self.within[0] == "("
+        wanted = f"lie in {self.within}"
+        if self.is_whole:
+            wanted = f"be a whole number from {least + is_open:g} to {most:g}"
+        is_within = least <= value <= most and not (value == least and is_open)
+        if not is_within or (self.is_whole and value != int(value)):
+            raise ConfigError(f"config key {key!r} must {wanted}, not {value!r}")
 
 
 # A row a key: those of all tasks, then those of some that have limits. Of others the default says what they may be.

@@ -92,7 +92,7 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", sees(TABLE, features_range={"x": [100, -100]}), "rising [low, high]"),
     ("sumo/highway", sees({"type": "AttributesObservation"}), "ObservationWrapper"),
     ("sumo/highway", acts(META, target_speeds=[]), "two rising numbers, not []"),
-    ("sumo/highway", {"screen_width": 600.5}, "whole number, not 600.5"),
+    ("sumo/highway", {"screen_width": 600.5}, "whole number from 1 to 10000, not 600.5"),
     ("sumo/highway", sees(TABLE, features_range={"speed": [0, 1]}), "'speed'"),
     ("sumo/highway", sees({"type": "KinematicsGoal"}), "not here"),
     ("sumo/highway", sees(LIDAR, cells=0), "'cells'"),

@@ -44,12 +44,10 @@ class Key:
         if not self.within or value is None:
             return
         (least, most), is_open = map(float, self.within[1:-1].split(",")), self.within[0] == "("
-        wanted = f"lie in {self.within}"
         if self.is_whole:
-            wanted = f"be a whole number from {least + is_open:g} to {most:g}"
-        is_within = least <= value <= most and not (value == least and is_open)
-        if not is_within or (self.is_whole and value != int(value)):
-            raise ConfigError(f"config key {key!r} must {wanted}, not {value!r}")
+            whole_number(f"config key {key!r}", value, int(most), int(least) + is_open)
+        elif not least <= value <= most or (value == least and is_open):
+            raise ConfigError(f"config key {key!r} must lie in {self.within}, not {value!r}")
 
 
 # A row a key: those of all tasks, then those of some that have limits. Of others the default says what they may be.
@@ -216,10 +214,10 @@ def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
     return str(value)
 
 
-def whole_number(name: str, value: Any, most: int) -> int:
-    """A value that can only be a whole number from 1 to `most`. Raises ConfigError: it is none."""
-    if not isinstance(value, int | float) or not 1 <= value <= most or value != int(value):
-        raise ConfigError(f"{name} must be a whole number from 1 to {most}, not {value!r}")
+def whole_number(name: str, value: Any, most: int, least: int = 1) -> int:
+    """A value that can only be a whole number from `least` to `most`. Raises ConfigError: it is none."""
+    if not isinstance(value, int | float) or not least <= value <= most or value != int(value):
+        raise ConfigError(f"{name} must be a whole number from {least} to {most}, not {value!r}")
     return int(value)
 
 

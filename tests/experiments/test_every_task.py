@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -94,7 +95,7 @@ def every_command(task: str, home: Path) -> None:
     film: Any = Image.open(trained / f"{name.rpartition('-')[0]}-0.gif")
     width: Any = PANEL["screen_width"]
     assert film.size[0] > 2 * width and film.n_frames > 1  # at both risks
-    with pytest.raises(UserError, match=f"there are: {name}"):
+    with pytest.raises(UserError, match=re.escape(f"there are: {name}")):
         watch.watch(watch.Options(trained, agent="control"))
     assert replay.replay(replay.Options(f"{trained}/cells/{name}:risky:0", policy=True)) == 0
     curve = rare.Options(

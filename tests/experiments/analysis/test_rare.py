@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from experiments.analysis import rare
 
@@ -71,6 +72,10 @@ def test_episodes_as_often_as_asked_about_are_counted_plainly() -> None:
     row = rare.curve(episodes, (1.0,)).iloc[0]
     assert row["crashes_per_episode"] == pytest.approx(episodes["crashed"].mean())
     assert row["crashes_per_100_km"] == pytest.approx(episodes["crashed"].sum() / episodes["km"].sum() * 100)
+    crashed = np.arange(20) < 4
+    low = rare.estimate(np.zeros(20, int), np.ones(20), crashed, crashed).low
+    variance = crashed.var(ddof=1) / 20
+    assert low == pytest.approx(stats.gamma(0.2**2 / variance, scale=variance / 0.2).ppf(0.025))
 
 
 def test_nothing_is_claimed_of_few_or_of_unequal_crashes() -> None:

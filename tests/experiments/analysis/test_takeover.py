@@ -117,6 +117,16 @@ def test_the_standard_error_of_one_pair_is_that_of_a_ratio_of_means() -> None:
     assert (found["status"], found["df"]) == ("ok", 149)
 
 
+def test_where_nobody_crashes_the_standard_error_is_that_of_one_crash_more_and_one_less() -> None:
+    """Of each driver in the moments of each leader, of which the mean is taken."""
+    rows = drawn(np.random.default_rng(1), (alike, alike))
+    rows = rows.assign(**{name: rows[name].where(rows[name].isna(), INF) for name in ("crash_a", "crash_b")})
+    moments = rows[rows["moment"].notna()].groupby("leader").size()
+    share = 1 / (moments + 2)
+    expected = (2 * share * (1 - share) / moments).sum() / 4
+    assert analysis.answers(rows).set_index("question").loc["skill", "se"] ** 2 == pytest.approx(expected)
+
+
 @pytest.mark.parametrize(
     ("treated", "caution", "by_leader"),
     [

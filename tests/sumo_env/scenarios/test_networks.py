@@ -80,6 +80,16 @@ def test_lanes_limits_and_junctions_are_read(blocks: Path, merge: Path) -> None:
     assert {files.lane(edge) in stops for edge in crossing} == {True, False}
 
 
+def test_ways_through_junctions_are_as_long_as_sumo_says(blocks: Path) -> None:
+    """Also those of several lanes."""
+    env = SumoDrivingEnv(blocks, ROUTES, EGO, QUIET)
+    env.reset(seed=0)
+    for (start, end), way in files.network(blocks).junctions.items():
+        length = env.sumo.lane.getLength(f"{start}_0")
+        known = env.sumo.simulation.getDistanceRoad(start, length, end, 0.0, isDriving=True)
+        assert way == pytest.approx(known, abs=0.01)
+
+
 @pytest.mark.slow
 def test_a_generated_network_is_driven(blocks: Path) -> None:
     config = {"vehicles_count": 15, "risk": 1.0, "duration": 20}

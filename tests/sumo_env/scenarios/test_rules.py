@@ -246,6 +246,15 @@ def test_who_stands_until_sumo_takes_it_off_the_last_edge_has_not_arrived(tmp_pa
     assert (info["ending"], info["arrived"]) == ("removed", False) and reward < 0.01
 
 
+def test_the_way_ends_on_the_arrival_edge_also_for_who_is_there(tmp_path: Path) -> None:
+    net = build(tmp_path, ("a 0 0, b 60 0, c 120 0, d 180 0", "ab a b 1 14, bc b c 1 14, cd c d 1 14"))
+    ego = '<vehicle id="me" depart="0" arrivalEdge="1"><route edges="ab bc cd"/></vehicle>'
+    env = SumoDrivingEnv(net, route_file(tmp_path, ego), ego_vehicle="me", config={"action": SUMO_DRIVES})
+    env.reset(seed=0)
+    left = [env.scene.place.ahead for *_, over, _, _ in drive(env, 0) if not over]
+    assert {*left} == {("ab", "bc"), ("bc",)} and env.ego_state.ended == "arrived"
+
+
 # -- which lanes are driven ------------------------------------------------------------------------------------------
 
 # A lane that forks inside the junction b; of the two behind it, one ends at c after 17 m.

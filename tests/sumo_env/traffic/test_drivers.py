@@ -284,6 +284,8 @@ def test_there_is_room_where_nobody_is_within_the_gap() -> None:
     tram = 20.0, 1.25  # half its length and width [m]
     for x, room in ((77.0, False), (76.0, True), (123.0, False), (124.0, True)):
         assert has_room(there, [(x, 4.0, 20.0, 0.0)], [(2.5, 0.9), tram]) == room
+    for gap, room in ((0.9, False), (1.1, True)):  # to its side, where it stands across
+        assert has_room(there, [(103.75 + gap, 4.0, 0.0, math.pi / 2)], [(2.5, 0.9), tram]) == room
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, math.pi, -2.0])

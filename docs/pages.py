@@ -38,6 +38,7 @@ from experiments.study.design.arms import ARMS
 from experiments.study.design.sheet import GRID
 from experiments.validation.figure import validation_figure
 from sumo_env.tasks import TASKS
+from sumo_env.traffic.risk import RATES
 
 TEMPLATES = ROOT / "docs" / "templates"
 STUDY = ROOT / "results" / "study-6"
@@ -180,8 +181,7 @@ def failing(*arms: str) -> dict[str, Any]:
 
 def events_per_hour(task: str) -> float:
     """How many risk events a vehicle of the task has at dose 1 in an hour."""
-    rates = TASKS[task].risk_rates
-    return 3600 * (rates.cut_in + rates.brake + rates.surge)
+    return 3600 * sum(getattr(TASKS[task].risk_rates, name) for name in RATES)
 
 
 def arrow(row: dict[str, Any]) -> str:

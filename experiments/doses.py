@@ -30,11 +30,12 @@ from experiments.support.files import write_file
 from experiments.validation import episodes
 from experiments.validation.checks import REFERENCE
 from experiments.validation.episodes import Engine
+from sumo_env.traffic.risk import RATES
 
 EGOS = ("careful", "idm", "idle")
 DOSES = tuple(AT_A_DOSE)
 SUMO = Engine("sumo", "sumo", egos=EGOS)
-NO_EVENTS = {"risk_rates": dict.fromkeys(("cut_in", "brake", "surge"), 0.0)}
+NO_EVENTS = {"risk_rates": dict.fromkeys(RATES, 0.0)}
 ENGINES = (
     SUMO,
     replace(SUMO, name="sumo, parameters alone", options=NO_EVENTS),

@@ -23,6 +23,7 @@ import gymnasium as gym
 from sumo_env.config import ConfigError, names_of, nearest
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.drivers import UNCALIBRATED
+from sumo_env.traffic.risk import RATES
 from sumo_env.traffic.scenario import Scenario
 
 SETTINGS = {  # the lightest and the densest level of each task
@@ -36,7 +37,7 @@ RISKY = {"config": {"risk": 1.0, "drivers": "highway-env"}}
 TRAFFICS: dict[str, dict[str, Any]] = {  # options of `reset`
     "regular": {"config": {"risk": 0.0, "drivers": "highway-env"}},
     "risky": RISKY,
-    "no-events": {**RISKY, "risk_rates": {"cut_in": 0.0, "brake": 0.0, "surge": 0.0}},  # risky drivers
+    "no-events": {**RISKY, "risk_rates": dict.fromkeys(RATES, 0.0)},  # risky drivers
     "measured": {"config": {"risk": 0.0, "drivers": "measured"}},
 }
 FIRST_SEED = 2**33  # above those of the study

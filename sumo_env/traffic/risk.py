@@ -22,6 +22,7 @@ LOOKED_AT = 4.0 * LENGTH  # [m] vehicles further away, along x and y together, d
 SWERVE_TIME = 3.0  # [s] that a cut-in into the lane of oncoming traffic lasts
 Kind = Literal["cut-in", "brake", "surge"]
 KINDS: list[str] = list(get_args(Kind))
+RATES = tuple(kind.replace("-", "_") for kind in KINDS)  # as `RiskRates` calls how often they are
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 

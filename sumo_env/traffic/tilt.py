@@ -13,7 +13,7 @@ from math import inf, log
 from typing import Any
 
 from sumo_env.config import ConfigError
-from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
+from sumo_env.traffic.risk import RATES, RiskEvent, RiskRates, draw_events
 
 TILTED = ("event_factor", "event_reach")  # the options of `reset`
 MOST = 1000.0  # [1/s] events of a vehicle: more would fill the memory
@@ -57,15 +57,14 @@ class Tilt:
     @property
     def rate(self) -> float:
         """Events of a vehicle at factor 1 [1/s]."""
-        return self.dose * (self.rates.cut_in + self.rates.brake + self.rates.surge)
+        return self.dose * sum(getattr(self.rates, name) for name in RATES)
 
     def further(
         self, vehicles: tuple[tuple[str, float], ...], seed: int, purpose: str = "further risk events"
     ) -> tuple[RiskEvent, ...]:
         """Events beside those at factor 1, which come only near learning cars; arguments as of `draw_events`."""
         scale = (self.factor - 1.0) * self.dose
-        of = self.rates
-        rates = replace(of, cut_in=scale * of.cut_in, brake=scale * of.brake, surge=scale * of.surge)
+        rates = replace(self.rates, **{name: scale * getattr(self.rates, name) for name in RATES})
         drawn = draw_events(rates, 1.0, vehicles, seed, self.duration, purpose)
         return tuple(replace(event, is_further=True) for event in drawn)
 

@@ -16,8 +16,8 @@ from experiments.study.design.arms import stream_seed
 from experiments.study.design.levels import level_config
 from experiments.study.design.sheet import task_of
 from sumo_env.tasks import TASKS
+from sumo_env.traffic.risk import RATES
 
-KINDS = ("cut_in", "brake", "surge")
 # Columns of an episode, with their types.
 COLUMNS: dict[str, str] = {
     "base": "float64",  # rate of events
@@ -63,7 +63,7 @@ class Question:
     @property
     def rates(self) -> dict[str, float]:
         """Events of a vehicle at the rate 1, by their kind [1/s]."""
-        return {kind: getattr(TASKS[task_of(self.task)].risk_rates, kind) for kind in KINDS}
+        return {kind: getattr(TASKS[task_of(self.task)].risk_rates, kind) for kind in RATES}
 
     def play(self, env: Any, policy: Policy, base: float, level: float, seed: int) -> dict[str, Any]:
         """One episode with events at the rate `base`, and at the rate `level` near the ego."""

@@ -252,8 +252,9 @@ class Events:
     # -- lane changes --------------------------------------------------------------------------------------
 
     def _cut_in(self, event: RiskEvent, time: float) -> None:
-        """Change to a neighbouring lane, where there is one with room, as soon as a change may begin."""
-        if not self._may_begin(event.vehicle):
+        """Change to a neighbouring lane with room, as soon as a change may begin and no other event steers."""
+        is_steered = self._road[event.vehicle].has_lanes and event.vehicle not in self._changes
+        if is_steered or not self._may_begin(event.vehicle):
             self._waiting[event.vehicle] = event
             return
         oncoming = self._network.road.oncoming  # then the only lane beside is that of oncoming traffic
@@ -345,11 +346,9 @@ class Events:
         there = *geometry.position(s, 0.0), speed, geometry.heading_at(s)
         states = self._near(*there[:2], LOOKED_AT + self._longest)
         states.pop(name, None)
+        sizes = self._session.halves((name, *states))
         # what is smaller than a car is given the room of one
-        halves = [
-            (max(length, CAR[0]), max(width, CAR[1]))
-            for length, width in self._session.halves((name, *states))
-        ]
+        halves = [(max(length, CAR[0]), max(width, CAR[1])) for length, width in sizes]
         return has_room(there, list(states.values()), halves)
 
     # -- all other kinds -----------------------------------------------------------------------------------

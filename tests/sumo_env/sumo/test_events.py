@@ -244,6 +244,27 @@ class Swerve(EventKind):
         pass
 
 
+@dataclass(frozen=True)
+class Holding(EventKind):
+    """Steers by itself."""
+
+    def command(self, at: Moment) -> None:
+        at.vehicle.hold_lanes()
+
+    def give_back(self, at: Moment) -> None:
+        at.vehicle.free_lanes()
+
+
+def test_a_cut_in_waits_until_an_event_that_steers_is_over(simulator: SumoSimulator) -> None:
+    scenario = draw("highway", initial_lane_id=0, duration=12)
+    car = placed(scenario, 0, ("0", "1", 1), scenario.ego.x + 200.0, 20.0)
+    events = RiskEvent(0.0, "v0", Holding(), duration=1.5), RiskEvent(0.5, "v0", "cut-in", direction=1)
+    simulator.reset(replace(scenario, vehicles=(car,), events=events))
+    scenes = [simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}).scene for _ in range(6)]
+    across = [scene.y.item(scene.ids.index("v0")) for scene in scenes]
+    assert across[0] == pytest.approx(4.0, abs=0.01) and across[-1] == pytest.approx(8.0, abs=0.1)
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_who_swerves_comes_back_where_sumo_s_own_lane_changes_would_refuse(simulator, side: int) -> None:
     """Six of six, with a follower 8 m behind in the lane that they leave; the lanes are SUMO's again at the end."""

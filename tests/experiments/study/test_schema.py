@@ -55,11 +55,11 @@ RECORDS: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda r: r["files"].pop("gates.parquet"), "without a record"),
 ]
 ROWS: list[tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = [
-    (lambda t: t.drop(columns="crashed"), "columns"),
-    (lambda t: t.assign(more=1), "columns"),
-    (lambda t: t.assign(scenario="first"), "columns"),
+    (lambda t: t.drop(columns="crashed"), "has other columns"),
+    (lambda t: t.assign(more=1), "has other columns"),
+    (lambda t: t.assign(scenario="first"), "has other columns"),
     (lambda t: t.assign(**{"return": np.inf}), "finite"),
-    (lambda t: t.assign(near_misses=None), "columns"),
+    (lambda t: t.assign(near_misses=None), "has other columns"),
     (lambda t: t.iloc[:0], "0 rows"),
     (lambda t: t[t["scenario"] % 2 == 0], "scenario 1"),
     (lambda t: pd.concat([t, t]), "scenario 0"),

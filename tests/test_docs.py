@@ -166,7 +166,10 @@ def test_the_risk_of_every_task_is_on_its_page() -> None:
         rates = task.risk_rates
         brakes = every(rates.brake, rates.brake_decel, rates.brake_duration)
         surges = every(rates.surge, rates.surge_accel, rates.surge_duration)
-        assert rows[name] == [every(rates.cut_in), brakes, surges], name
+        found = rows.get(name)
+        assert found == [every(rates.cut_in), brakes, surges], (
+            f"{name}: docs/templates/traffic-and-risk.md.j2"
+        )
 
 
 def test_every_module_and_every_folder_of_tests_is_named_with_about_its_lines() -> None:

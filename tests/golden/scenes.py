@@ -16,9 +16,8 @@ from tests.sumo_env.rollout import drive, leaves
 
 RISKS = (0.0, 1.0)
 SEEDS = (7, 8)
-# Left, faster, right, slower; the intersection's three actions: faster, slower, idle, faster.
-ACTIONS = {"intersection": (2, 0, 1, 2)}
-DEFAULT_ACTIONS = (0, 3, 2, 4)
+# By their number. Of five: left, faster, right, slower; of three: faster, slower, idle, faster.
+ACTIONS = {5: (0, 3, 2, 4), 3: (2, 0, 1, 2)}
 NEAREST = 8  # vehicles that are written down one by one
 DIGITS = 7
 # Headings are given in [-1, 2 pi - 1): which turn they are counted in is nobody's matter, and no road heads for -1 rad.
@@ -42,10 +41,10 @@ def table(task: str) -> dict[str, Any]:
     """All cells and seeds of a task: name of the episode -> its steps, the state after the reset first."""
     result = {}
     for level, risk in cells(task):
-        env = make(task, level, risk)
+        env: Any = make(task, level, risk)
         for seed in SEEDS:
             name = f"level {level}, risk {risk:g}, seed {seed}"
-            result[name] = episode(env, seed, ACTIONS.get(task, DEFAULT_ACTIONS))
+            result[name] = episode(env, seed, ACTIONS[env.action_space.n])
         env.close()
     return result
 

@@ -1,4 +1,4 @@
-"""Behaviour stays what it was. A change that is meant: regenerate, review the difference (README.md here).
+"""Behaviour stays what it was. A change that is meant: regenerate, review the difference (regenerate.py).
 
 Of whole episodes: experiments/study/test_fingerprint.py.
 """

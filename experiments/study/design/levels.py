@@ -141,6 +141,6 @@ def choose_levels(tasks: Sequence[str], wanted: Sequence[int]) -> dict[str, tupl
         UserError: a level that none of the tasks has.
     """
     known = {task: range(1, len(level_names(task)) + 1) for task in tasks}
-    check_known("level", wanted, range(1, 1 + max(map(len, known.values()))))
+    check_known("level number", wanted, range(1, 1 + max(map(len, known.values()))))
     chosen = {task: tuple(n for n in known[task] if not wanted or n in wanted) for task in tasks}
     return {task: numbers for task, numbers in chosen.items() if numbers}

@@ -28,6 +28,7 @@ from sumo_env.tasks.base import make_on_lane
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.merge import Merge
 from sumo_env.tasks.u_turn import UTurn
+from sumo_env.traffic.risk import EventKind
 from tests.sumo_env.rollout import drive, observations
 from tests.sumo_env.situations import draw, with_leader
 
@@ -232,6 +233,18 @@ def paying(terms: Callable[[Any], dict[str, float]]) -> Highway:
 @pytest.mark.parametrize("task", [*TASKS.values(), Own()], ids=lambda task: task.name)
 def test_tasks_without_a_fault_have_none(task: Any) -> None:
     sumo_env.check_task(task, {"risk": 1.0})
+
+
+def test_events_act_in_the_episodes_of_a_task_without_risk() -> None:
+    class Mistyped(EventKind):
+        def command(self, at: Any) -> None:
+            at.vehicle.steer(1)
+
+    class Mistaken(Highway):
+        own_kinds = (Mistyped(rate=9.0, duration=1.0),)
+
+    with pytest.raises(AttributeError, match="steer"):
+        sumo_env.check_task(Mistaken())
 
 
 def test_all_levels_of_a_task_are_driven() -> None:

@@ -118,6 +118,11 @@ def test_turning_the_short_way_through_the_half_turn() -> None:
     assert touch_moment(before, after, state(0.0, 2.2), state(0.0, 2.2)) == math.inf
 
 
+def test_who_stands_is_touched_by_the_end_of_a_long_vehicle_that_turns() -> None:
+    stands, lorry = state(8.0, 3.15), (9.0, 1.25)  # 0.9 m beside it, of which its front comes 1.35 m aside
+    assert 0.5 < touch_moment(state(0.0, 0.0), state(0.0, 0.0, 0.15), stands, stands, own=lorry) < 1.0
+
+
 def test_the_first_touch_is_that_of_the_vehicle_that_is_met_first() -> None:
     ego, ego_after = state(0.0, 0.0), state(4.0, 0.0)
     others = [state(50.0, 0.0), state(8.0, 0.0), state(7.0, 1.0), state(0.0, 4.0)]

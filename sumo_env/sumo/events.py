@@ -34,7 +34,7 @@ from sumo_env.traffic.risk import (
 from sumo_env.traffic.scenario import Scenario
 
 CHANGE_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
-DELAY = 2.0  # [s] that a cut-in waits for a vehicle that stands, or whose edge ends too soon; then it does not come
+DELAY = 2.0  # [s] that a cut-in waits until its vehicle may begin a change; then it does not come
 PATIENCE = 10.0  # [s] that a vehicle waits for room to come back, before SUMO's lane-change model decides
 YELLOW = 3.0  # [s] that a light is yellow before it is red, as netconvert makes them
 # [s] While a speed is commanded, and after it, SUMO's EIDM may wish to stop at once, from any speed.

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from highway_env.envs import RoundaboutEnv, TwoWayEnv
+from highway_env.envs import MergeEnv, RoundaboutEnv, TwoWayEnv
 from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
@@ -54,13 +54,23 @@ class PaidRoundabout(RoundaboutEnv):
         return super()._rewards(1 if np.size(action) == 2 else action)
 
 
+class PaidMerge(MergeEnv):
+    """Likewise."""
+
+    def _rewards(self, action: Any) -> dict[str, float]:
+        return super()._rewards(1 if np.size(action) == 2 else action)
+
+
+PAID = {"roundabout": PaidRoundabout, "merge": PaidMerge}
+
+
 def pair(task: str, config: dict[str, Any], version: int = 0) -> tuple[Any, Any]:
     """highway-env's environment and the replica's."""
     ours = gym.make(gym.spec(f"replica/{task}-v{version}"), config=config)
     if task == "two-way":
         return gym.wrappers.TimeLimit(PaidTwoWay(config), 15), ours
-    if task == "roundabout" and not version:
-        return PaidRoundabout(config), ours
+    if task in PAID and not version:
+        return PAID[task](config), ours
     return gym.make(gym.spec(f"{task}-v{version}"), config=config), ours
 
 
@@ -87,7 +97,7 @@ def along_the_road(env: Any, rng: np.random.Generator) -> np.ndarray:
 def quick(task: str) -> dict[str, int]:
     """Frequencies, and the duration where the task has one."""
     config = {"simulation_frequency": 15, "policy_frequency": 5}
-    return config if task == "two-way" else {**config, "duration": 6}
+    return config if task in ("two-way", "merge") else {**config, "duration": 6}
 
 
 def steered(task: str, config: dict[str, Any]) -> tuple[Any, Any]:
@@ -122,6 +132,7 @@ def test_later_versions_are_those_of_highway_env(id: str) -> None:
 
 
 MANY: list[tuple[str, int, Any]] = [*product(OF_HIGHWAY_ENV, [0], [wild, along_the_road])]
+MANY.remove(("merge", 0, wild))  # it has no time limit, and a wild episode need not end
 MANY += [(sumo_env.task_of(id), sumo_env.version_of(id), wild) for id in sumo_env.LATER_IDS]
 
 

@@ -44,9 +44,10 @@ def check_task(task: Task, config: Mapping[str, Any] | None = None, steps: int =
         where = f"the task {task.name!r}" + (f" at the level {level!r}" if level else "")
         try:
             faults = list(dict.fromkeys(_faults_of_scenarios(task, values)))
-            for dose in () if faults else dict.fromkeys((values["risk"], 1.0)):  # events act at 1
-                found = _faults_of_episodes(task, {**values, "risk": dose}, steps)
-                faults += [fault for fault in dict.fromkeys(found) if fault not in faults]
+            for dose in (values["risk"], 1.0):  # events act at 1
+                if not faults:
+                    at = {**values, "risk": dose}
+                    faults = list(dict.fromkeys(_faults_of_episodes(task, at, steps)))
         except Exception as error:
             error.add_note(f"in an episode of {where}")
             raise

@@ -159,9 +159,9 @@ def unpacked(path: Path, schema: pa.Schema) -> tuple[pa.Table, str]:
         columns = parquet.schema_arrow.remove_metadata()
         if columns != schema:
             odd = [str(field) for field in schema if field not in columns] or columns.names
+            words = ", ".join(odd[:3])
             raise OtherVersion(
-                f"has other columns than this version writes ({', '.join(odd[:3])}): the version that has written it "
-                "reads it, and another --out begins anew"
+                f"has other columns than this version writes ({words}): the version that wrote it reads it"
             )
         table = parquet.read()
     if digest(table, text) != expected:

@@ -47,18 +47,20 @@ class PaidTwoWay(TwoWayEnv):
         }
 
 
-class PaidRoundabout(RoundaboutEnv):
-    """highway-env's, whose reward asks whether an array of two numbers is 0 or 2, and fails."""
+class Paid:
+    """Over highway-env's, whose reward asks whether an array of two numbers is 0 or 2, and fails."""
 
     def _rewards(self, action: Any) -> dict[str, float]:
-        return super()._rewards(1 if np.size(action) == 2 else action)
+        rewards: Any = super()
+        return rewards._rewards(1 if np.size(action) == 2 else action)
 
 
-class PaidMerge(MergeEnv):
-    """Likewise."""
+class PaidRoundabout(Paid, RoundaboutEnv):
+    """highway-env's, paid."""
 
-    def _rewards(self, action: Any) -> dict[str, float]:
-        return super()._rewards(1 if np.size(action) == 2 else action)
+
+class PaidMerge(Paid, MergeEnv):
+    """highway-env's, paid."""
 
 
 PAID = {"roundabout": PaidRoundabout, "merge": PaidMerge}

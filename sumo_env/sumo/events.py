@@ -40,6 +40,7 @@ YELLOW = 3.0  # [s] that a light is yellow before it is red, as netconvert makes
 # [s] While a speed is commanded, and after it, SUMO's EIDM may wish to stop at once, from any speed.
 SETTLING = 1.0
 UNLIMITED = 1000.0  # [m/s] a command that leaves the choice to SUMO, within the limits of its speed mode
+CHANGE = "change"  # that commands lanes
 EARLY = 1e-9  # [s] rounding of sums of steps
 SQUARE = 50.0  # [m] side of the squares by which vehicles that are near are found
 
@@ -277,7 +278,7 @@ class Events:
     def _steer(self, name: str, side: int, beside: LaneIndex) -> None:
         """Command a lane change."""
         session, road = self._session, self._network.road
-        self._road[name].hold_lanes()
+        self._road[name].hold_lanes(CHANGE)
         if road.oncoming:
             session.vehicle.changeLaneRelative(name, -side, 0.0)
             return
@@ -296,7 +297,7 @@ class Events:
                 self._changes[name] = Change(time + CHANGE_TIME)
             return
         del self._changes[name]
-        self._road[name].free_lanes()
+        self._road[name].free_lanes(CHANGE)
 
     def _beside(self, name: str, side: int) -> LaneIndex | None:
         """The lane beside a vehicle to which a change may begin now, None if there is none."""

@@ -65,6 +65,7 @@ class Vehicle:
         self._session, self.name, self._base, self.is_learning = session, name, base, is_learning
         self.now = (ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES) if held else base
         self.has_speed = self.has_lanes = held
+        self._of_lanes = {""} if held else set[str]()  # who commands its lanes
         self.crashed, self.coasting = False, 0.0
         self._is_changing = False  # whether a lane change of SUMO's may still be running
         self._regular: dict[str, float] = {}  # its own parameters, where others are commanded
@@ -91,15 +92,17 @@ class Vehicle:
             self._set(self._base[0], self.now[1])
             self.drive(-1.0)
 
-    def hold_lanes(self) -> None:
-        """From now on its lane changes are commanded."""
+    def hold_lanes(self, by: str = "") -> None:
+        """From now on its lane changes are commanded, by one of those who may do so at a time."""
+        self._of_lanes.add(by)
         if not self.has_lanes:
             self.has_lanes = self._is_changing = True
             self._set(self.now[0], COMMANDED_LANE_CHANGES)
 
-    def free_lanes(self) -> None:
-        """Give the lane changes back to SUMO, if they are commanded."""
-        if self.has_lanes and not self.crashed:
+    def free_lanes(self, by: str = "") -> None:
+        """Give the lane changes back to SUMO, once nobody else commands them."""
+        self._of_lanes.discard(by)
+        if self.has_lanes and not (self._of_lanes or self.crashed):
             self.has_lanes = False
             self._set(self.now[0], self._base[1])
 

@@ -16,7 +16,7 @@ from sumo_env.contacts.rectangles import State
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.events import Moment
-from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
+from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR, Session
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks.highway import Highway
 from sumo_env.traffic.risk import FREE_WAY, EventKind, RiskEvent, free_way
@@ -246,10 +246,11 @@ class Swerve(EventKind):
 
 @dataclass(frozen=True)
 class Holding(EventKind):
-    """Steers by itself."""
+    """Steers by itself, from its first sub-step on."""
 
     def command(self, at: Moment) -> None:
-        at.vehicle.hold_lanes()
+        if at.elapsed == 0.0:
+            at.vehicle.hold_lanes()
 
     def give_back(self, at: Moment) -> None:
         at.vehicle.free_lanes()
@@ -263,6 +264,25 @@ def test_a_cut_in_waits_until_an_event_that_steers_is_over(simulator: SumoSimula
     scenes = [simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)}).scene for _ in range(6)]
     across = [scene.y.item(scene.ids.index("v0")) for scene in scenes]
     assert across[0] == pytest.approx(4.0, abs=0.01) and across[-1] == pytest.approx(8.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("duration", "end"), [(0.5, 1.3), (2.0, 2.5)])
+def test_lanes_are_sumo_s_again_once_neither_a_cut_in_nor_an_event_steers(
+    simulator: SumoSimulator, duration: float, end: float
+) -> None:
+    """The event steers from 0.5 s on; the cut-in, from 0 s on, for 1.3 s."""
+    scenario = draw("highway", initial_lane_id=0, duration=12, policy_frequency=10, simulation_frequency=10)
+    car = placed(scenario, 0, ("0", "1", 1), scenario.ego.x + 200.0, 20.0)
+    events = (
+        RiskEvent(0.0, "v0", "cut-in", direction=1),
+        RiskEvent(0.5, "v0", Holding(), duration=duration),
+    )
+    simulator.reset(replace(scenario, vehicles=(car,), events=events))
+    held = []
+    for _ in range(40):
+        simulator.step({"ego": EgoCommand(20.0, scenario.ego.lane)})
+        held.append(libsumo.vehicle.getLaneChangeMode("v0") == COMMANDED_LANE_CHANGES)
+    assert held == [step < round(10 * end) for step in range(40)]
 
 
 @pytest.mark.parametrize("side", [-1, 1])

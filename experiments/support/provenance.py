@@ -6,6 +6,7 @@ import importlib.metadata
 import os
 import platform
 import subprocess
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,13 +30,11 @@ def provenance() -> dict[str, Any]:
 
 @cache
 def cpu() -> str:
-    """Name of the processor."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:  # not Linux
-        pass
+    """Name of the processor, with its family and model, since one name may be that of several kinds."""
+    with suppress(OSError, KeyError):  # not Linux, or not x86
+        lines = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
+        said = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+        return f"{said['model name']} (family {said['cpu family']}, model {said['model']})"
     return platform.processor() or platform.machine()
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
 
-from sumo_env.contacts.rectangles import CAR, HALF_LENGTH, Half, State
+from sumo_env.contacts.rectangles import Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, LETTERS, NO_LIGHT, PERCEPTION_DISTANCE, TURN, Light
 from sumo_env.sumo.engine import LIBSUMO, Engine
@@ -81,7 +81,7 @@ class Session:
             self.sumo.gui.setBoundary(VIEW, 0.0, 0.0, SEEN, SEEN)
         self._limits.clear()
         self._settings = settings
-        self.step_length = round(settings.step_length, 3)
+        self.step_length = float(self.simulation.getDeltaT())
         self.lane_change_duration = float(self.simulation.getOption("lanechange.duration"))
         has_sublanes = float(self.simulation.getOption("lateral-resolution")) > 0.0
         self._angle = self._lane_angle if has_sublanes else self.vehicle.getAngle
@@ -280,8 +280,6 @@ class Session:
 
     def halves(self, names: Iterable[str]) -> list[Half]:
         """Half the length and the width of these vehicles [m]."""
-        if not self.sizes:
-            return [CAR for _ in names]
         sizes = (self.sizes.get(name, CAR_SIZE) for name in names)
         return [(length / 2.0, width / 2.0) for length, width in sizes]
 
@@ -299,14 +297,13 @@ class Session:
         position, angle, speed = self.vehicle.getPosition, self._angle, self.vehicle.getSpeed
         own = position(name)
         x, y = own
-        near, rest, sizes, reach = {}, [], self.sizes, radius * radius
+        near, rest, reach = {}, [], radius * radius
         for other in others:
             front = position(other)
             dx, dy = front[0] - x, front[1] - y
             squared = dx * dx + dy * dy
             if squared <= reach:
-                half = self.half(other) if sizes else HALF_LENGTH
-                near[other] = _state(front, angle(other), speed(other), half)
+                near[other] = _state(front, angle(other), speed(other), self.half(other))
             else:
                 rest.append((other, sqrt(squared) - radius))
         return _state(own, angle(name), speed(name), self.half(name)), near, rest
@@ -323,7 +320,7 @@ class Session:
         return [(contact.collider, contact.victim) for contact in found] if found else ()
 
 
-def _state(front: tuple[float, float], angle: float, speed: float, half: float = HALF_LENGTH) -> State:
+def _state(front: tuple[float, float], angle: float, speed: float, half: float) -> State:
     """A vehicle's centre, speed and heading in highway-env's coordinates from SUMO's front bumper and angle [deg]."""
     heading = radians(angle - 90.0)
     if heading > pi:

@@ -31,12 +31,10 @@ class Settings:
     """What SUMO is loaded with.
 
     Attributes:
-        step_length: [s].
         options: of SUMO, by their long names without dashes.
         elements: contents of one more additional file, as XML.
     """
 
-    step_length: float
     options: Mapping[str, str]
     elements: str = ""
 
@@ -63,7 +61,7 @@ def placed_settings(
         "seed": "42",  # nobody draws, unless `leaves_traces`
         **{name: value for name, value in further.items() if name != OUTPUT_DIR},
     }
-    return Settings(step_length, options, ElementTree.tostring(root, "unicode"))
+    return Settings(options, ElementTree.tostring(root, "unicode"))
 
 
 def file_settings(scenario: Scenario, further: Mapping[str, str], outputs: Path | None = None) -> Settings:
@@ -89,7 +87,7 @@ def file_settings(scenario: Scenario, further: Mapping[str, str], outputs: Path 
     seed = scenario.seed if scenario.traffic.seed is None else scenario.traffic.seed
     # SUMO can be asked how far a vehicle drove that has left the road in the last step
     options |= {**given, **COLLISIONS, "seed": str(seed), "keep-after-arrival": options["step-length"]}
-    return Settings(float(options["step-length"]), options, scenario.traffic.elements)
+    return Settings(options, scenario.traffic.elements)
 
 
 def leaves_traces(scenario: Scenario) -> bool:

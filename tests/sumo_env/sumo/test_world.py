@@ -277,7 +277,7 @@ def test_sizes_are_known_where_one_comes_back_as_another_goes() -> None:
         assert session.sizes == {name: (lengths[name], 2.0) for name in listed if name != "car"}
 
 
-@pytest.mark.parametrize("frequency", [5, 10, 15, 20])
+@pytest.mark.parametrize("frequency", [5, 10, 15, 16, 20])
 @pytest.mark.parametrize("target", [30.0, 20.0, 25.0])
 def test_the_ego_drives_as_in_highway_env_at_any_simulation_frequency(simulator, frequency, target):
     scenario = alone(draw("highway", simulation_frequency=frequency))

@@ -107,7 +107,7 @@ class Step:
 
 
 class Simulator(Protocol):
-    """Drives the traffic of one scenario after another."""
+    """Drives the traffic of one scenario after another; `copy.deepcopy` of it goes on by itself from the same state."""
 
     def reset(self, scenario: Scenario) -> Scene:
         """Place a scenario, drive its warm-up, and return the first scene. The previous episode ends.
@@ -124,9 +124,6 @@ class Simulator(Protocol):
         Before the first sub-step, vehicles that have left the scene are removed and the scenario's spawns of this
         step are added (highway-env does this after the observation of the previous step, which is equivalent).
         """
-
-    def clone(self) -> Simulator:
-        """A simulator in the same state, which goes on by itself."""
 
     def imagine(self, scenario: Scenario) -> None:
         """Go on with the risk events of this scenario that have not begun, on the replica also with its drivers."""

@@ -193,10 +193,6 @@ class Replica:
         self._scenario = replace(self._scenario, spawns=(*self._scenario.spawns, spawn))
         return self._scenario
 
-    def clone(self) -> Replica:
-        """See `Simulator.clone`."""
-        return copy.deepcopy(self)
-
     def imagine(self, scenario: Scenario) -> None:
         """See `Simulator.imagine`; drivers go on with the parameters that they have in this scenario."""
         everybody, events = self._read(scenario)

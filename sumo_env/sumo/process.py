@@ -147,7 +147,7 @@ class SumoProcess:
                 self._calls.pop()  # a copy need not ask again
             return value
 
-    def clone(self) -> SumoProcess:
+    def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
         """A simulator in the same state.
 
         Raises:
@@ -175,9 +175,6 @@ class SumoProcess:
             twin._adopt(self._driven_again())
         twin._running = self._running
         twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
-        return self.clone()
 
     def close(self) -> None:
         """Close the simulator, and end the worker."""

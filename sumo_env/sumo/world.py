@@ -111,11 +111,8 @@ class SumoSimulator:
         """A function of libsumo, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
         return plain(operator.attrgetter(path)(self._session.sumo)(*arguments, **named))
 
-    def clone(self) -> NoReturn:
-        """SUMO cannot be copied within a process: see `SumoProcess`."""
+    def __reduce__(self) -> NoReturn:  # neither by pickle nor by copy.deepcopy, see `SumoProcess`
         raise TypeError("a SumoSimulator by itself cannot be copied: leave `simulator` out")
-
-    __reduce__ = clone  # neither by pickle nor by copy.deepcopy
 
     def close(self) -> None:
         """End the simulation."""

@@ -223,29 +223,29 @@ def test_without_risk_nothing_is_imagined() -> None:
 
 
 def test_a_killed_original_leaves_its_copies_alone_and_a_killed_copy_the_others(begun: SumoProcess) -> None:
-    twin, killed = begun.clone(), begun.clone()
+    twin, killed = copy.deepcopy(begun), copy.deepcopy(begun)
     os.kill(killed.pid, signal.SIGKILL)
-    assert ends(killed.pid) and begun.clone().step({"ego": COMMAND}).scene.time == 3.0
+    assert ends(killed.pid) and copy.deepcopy(begun).step({"ego": COMMAND}).scene.time == 3.0
     os.kill(begun.pid, signal.SIGKILL)
     assert ends(begun.pid)
     with pytest.raises(SimulatorDied, match="was killed by SIGKILL"):
-        begun.clone()
+        copy.deepcopy(begun)
     with pytest.raises(SimulatorDied, match="has ended"):
-        begun.clone()
-    third = twin.clone()
+        copy.deepcopy(begun)
+    third = copy.deepcopy(twin)
     assert third.step({"ego": COMMAND}).scene.time == twin.step({"ego": COMMAND}).scene.time == 3.0
     twin.close()
     assert third.step({"ego": COMMAND}).scene.time == 4.0
 
 
 def test_copies_leave_no_process_and_no_descriptor(begun: SumoProcess) -> None:
-    first = begun.clone()
+    first = copy.deepcopy(begun)
     first.close()
     assert ends(first.pid)
     before = descriptors(), descriptors(begun.pid)  # the worker may close those of the first copy later
     pids = []
     for number in range(30):
-        twin = begun.clone()
+        twin = copy.deepcopy(begun)
         pids.append(twin.pid)
         if number % 10 == 0:
             twin.step({"ego": COMMAND})

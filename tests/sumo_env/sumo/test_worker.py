@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import os
 import pickle
@@ -56,7 +57,7 @@ def source() -> Iterator[SumoProcess]:
 
 @pytest.fixture
 def simulator(source: SumoProcess) -> Iterator[SumoProcess]:
-    with closing(source.clone()) as simulator:
+    with closing(copy.deepcopy(source)) as simulator:
         yield simulator
 
 
@@ -71,7 +72,7 @@ def begun(request: pytest.FixtureRequest, source: SumoProcess) -> Iterator[SumoP
         assert len(one.reset(scenario(7, others=50_000))) == 50_001  # a large message
         step = one.step({"ego": COMMAND}, trace=True)
         assert len(step.trace) == 3 and len(step.trace[2]) == 50_001
-        with closing(one.clone() if one is source else one) as worker:
+        with closing(copy.deepcopy(one) if one is source else one) as worker:
             yield worker
 
 
@@ -182,7 +183,7 @@ def test_a_silent_worker_is_killed() -> None:
 
 REQUESTS: dict[str, tuple[Any, Callable[[SumoProcess], Any]]] = {
     "recv_into": (socket.socket, lambda simulator: simulator.step({"ego": COMMAND})),
-    "recv_fds": (socket, lambda simulator: simulator.clone()),
+    "recv_fds": (socket, copy.deepcopy),
 }
 
 

@@ -327,10 +327,9 @@ class _Worker:
         return pipe.receive(self._socket)
 
     def _send(self, command: str, arguments: tuple[Any, ...], timeout: float | None) -> None:
-        # kinds of events may be classes of the user's script, which the worker does not import
-        own = any(isinstance(one, Scenario) and one.has_own_kinds for one in arguments)
         self._socket.settimeout(timeout)
-        pipe.send(self._socket, (cloudpickle if own else pickle).dumps((command, arguments), 5))
+        # kinds of events may be classes of the user's script, which the worker does not import
+        pipe.send(self._socket, cloudpickle.dumps((command, arguments), 5))
 
     def death(self, error: Exception) -> str:
         """How the worker has ended, given the error that `exchange` has met."""

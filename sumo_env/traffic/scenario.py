@@ -235,12 +235,6 @@ class Scenario:
         return road(self.net or self.task, **dict(self.road_arguments))
 
     @property
-    def has_own_kinds(self) -> bool:
-        """Whether there are, or may be, events of a user's own kinds."""
-        of_files = self.traffic is not None and bool(self.traffic.own_kinds)
-        return of_files or any(isinstance(event.kind, EventKind) for event in self.events)
-
-    @property
     def specs(self) -> tuple[VehicleSpec, ...]:
         """The ego and the others, in the order of the scene's rows."""
         return (self.ego, *self.vehicles)

@@ -56,7 +56,7 @@ def save_arrays(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def load_arrays(path: str | Path, begins: tuple[str, ...] = ("",)) -> dict[str, np.ndarray]:
+def load_arrays(path: str | Path, begins: str = "") -> dict[str, np.ndarray]:
     """Read what :func:`save_arrays` wrote: the arrays whose names begin so, by default all.
 
     Raises DamagedFile when the file is damaged, FileNotFoundError when there is none.

@@ -36,10 +36,9 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
 
     Raises FileNotFoundError when the file is not there, DamagedFile when it is damaged.
     """
-    return _cards(_arrays(Path(file), CARDS), file)
-
-
-def _cards(arrays: Mapping[str, np.ndarray], file: str | Path) -> dict[str, dict[str, Any]]:
+    if not Path(file).exists():
+        raise FileNotFoundError(f"no {file}: python -m experiments.study.replaying.publish DIR writes it")
+    arrays = load_arrays(file, CARDS)
     try:
         found: dict[str, dict[str, Any]] = json.loads(str(arrays[CARDS]))
     except (KeyError, ValueError) as error:
@@ -49,10 +48,7 @@ def _cards(arrays: Mapping[str, np.ndarray], file: str | Path) -> dict[str, dict
 
 def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
     """The card of one agent, see :func:`cards`. Raises ValueError when there is no such agent."""
-    return _card(cards(file), f"{setting}/{arm}")
-
-
-def _card(known: Mapping[str, dict[str, Any]], wanted: str) -> dict[str, Any]:
+    known, wanted = cards(file), f"{setting}/{arm}"
     if wanted not in known:
         raise unknown("agent", wanted, known)
     return known[wanted]
@@ -73,9 +69,7 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     from agents.greedy import Greedy, Timed, with_weights
     from agents.models import NETWORKS, Standardised
 
-    prefix = f"{setting}/{arm}/"
-    arrays = _arrays(Path(file), CARDS, prefix)
-    about = _card(_cards(arrays, file), f"{setting}/{arm}")
+    about, prefix = card(setting, arm, file), f"{setting}/{arm}/"
     kind = network or NETWORKS.get(about["network"])
     if kind is None:
         raise ValueError(
@@ -85,8 +79,7 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     inner = Standardised(kind(space, about["actions"]), space)
     weights = {
         name.removeprefix(prefix): array.astype(np.float32) if array.dtype.kind == "f" else array
-        for name, array in arrays.items()
-        if name.startswith(prefix)
+        for name, array in load_arrays(file, prefix).items()
     }
     with_weights(inner, weights, file)
     steps = about["time_observed"]
@@ -100,9 +93,3 @@ def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Pat
         for part, value in policy.network.state_dict().items():
             arrays[f"{name}/{part}"] = (value.half() if value.is_floating_point() else value).numpy()
     save_arrays(file, arrays)
-
-
-def _arrays(file: Path, *begins: str) -> dict[str, np.ndarray]:
-    if not file.exists():
-        raise FileNotFoundError(f"no {file}: python -m experiments.study.replaying.publish DIR writes it")
-    return load_arrays(file, begins)

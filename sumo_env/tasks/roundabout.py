@@ -23,13 +23,8 @@ SLOTS: tuple[tuple[LaneIndex, float], ...] = (
 )
 # Vehicles beyond these are placed anywhere on these (RoundaboutGenericEnv's law).
 EXTRA_ROADS = (
-    ("we", "sx", 2),
-    ("sx", "se", 2),
-    ("ee", "nx", 2),
-    ("nx", "ne", 2),
-    ("eer", "ees", 1),
-    ("ner", "nes", 1),
-    ("wer", "wes", 1),
+    *(("we", "sx"), ("sx", "se"), ("ee", "nx"), ("nx", "ne")),
+    *(("eer", "ees"), ("ner", "nes"), ("wer", "wes")),
 )
 MIN_SPACING = 7.0  # [m] between centres, RoundaboutGenericEnv
 
@@ -122,8 +117,8 @@ def incoming(config: Config) -> str | None:
 def _free_place(road: Road, vehicles: list[VehicleSpec], rng: Random) -> tuple[LaneIndex, float] | None:
     """A place at least `MIN_SPACING` from all vehicles; None where 100 tries found none."""
     for _ in range(100):
-        start, end, lanes = EXTRA_ROADS[int(rng.integers(len(EXTRA_ROADS)))]
-        lane = (start, end, int(rng.integers(lanes)))
+        start, end = EXTRA_ROADS[int(rng.integers(len(EXTRA_ROADS)))]
+        lane = (start, end, int(rng.integers(road.count(start, end))))
         s = float(rng.uniform(5.0, max(5.0, road.lane(lane).length - 5.0)))
         x, y = road.lane(lane).position(s, 0.0)
         if all(math.hypot(x - other.x, y - other.y) >= MIN_SPACING for other in vehicles):

@@ -32,44 +32,31 @@ class SumoLane:
     """A lane of the built network.
 
     SUMO gives all lanes of an edge one `length`; in bends it differs from the `drawn` length of the lane's shape.
-
-    Attributes:
-        length: in which SUMO counts positions [m].
-        drawn: along the shape [m].
-        shape: points of its middle, in highway-env's coordinates [m].
-        following, preceding: ids of the lanes and joints that may come next, or come before.
-        classes: SUMO's vehicle classes that may drive here.
     """
 
     id: str
-    length: float
-    drawn: float
-    shape: tuple[Point, ...]
-    following: tuple[str, ...]
-    preceding: tuple[str, ...]
-    classes: frozenset[str]
+    length: float  # in which SUMO counts positions [m]
+    drawn: float  # along the shape [m]
+    shape: tuple[Point, ...]  # points of its middle, in highway-env's coordinates [m]
+    following: tuple[str, ...]  # ids of the lanes and joints that may come next
+    preceding: tuple[str, ...]  # likewise, that come before
+    classes: frozenset[str]  # SUMO's vehicle classes that may drive here
 
 
 @dataclass(frozen=True)
 class Network:
-    """A road in highway-env and in SUMO.
-
-    Attributes:
-        routes: "<from>-<to>><end>" -> SUMO edges, for a vehicle on the road <from> -> <to> bound for <end>. They begin
-            one edge before the vehicle's own where there is one, because SUMO shifts a vehicle by metres that is
-            placed on a joint when its route lacks the edge before.
-        lanes: highway-env's lane -> SUMO's.
-        indices: SUMO lane id -> highway-env's lane; of a joint, the lane it leads to.
-        sumo_lanes: SUMO lane id -> SUMO's lane, joints included.
-        meeting: which vehicles can meet; None where no road crosses another one without a junction: all can.
-    """
+    """A road in highway-env and in SUMO."""
 
     road: Road
     net_file: Path
+    # "<from>-<to>><end>" -> SUMO edges, for a vehicle on the road <from> -> <to> bound for <end>. They begin one edge
+    # before the vehicle's own where there is one, because SUMO shifts a vehicle by metres that is placed on a joint
+    # when its route lacks the edge before.
     routes: Mapping[str, tuple[str, ...]]
-    lanes: Mapping[LaneIndex, SumoLane]
-    indices: Mapping[str, LaneIndex]
-    sumo_lanes: Mapping[str, SumoLane]
+    lanes: Mapping[LaneIndex, SumoLane]  # highway-env's lane -> SUMO's
+    indices: Mapping[str, LaneIndex]  # SUMO lane id -> highway-env's lane; of a joint, the lane it leads to
+    sumo_lanes: Mapping[str, SumoLane]  # SUMO lane id -> SUMO's lane, joints included
+    # which vehicles can meet; None where no road crosses another one without a junction: all can
     meeting: Meeting | None = None
 
     def stretch(self, sumo_lane: str) -> float:

@@ -31,17 +31,13 @@ STOP_LINE = 0.8  # [m] from front to back
 
 @dataclass(frozen=True)
 class Markings:
-    """Polygons to fill, arrays (k, 2) [m]: `rims` white, then `surfaces` grey, then the rest white.
-
-    Attributes:
-        lines: between directions on SUMO's own networks, and where one stops or gives way.
-        lights: parts of stop lines; of the way on from there, id of the traffic light and place among its letters.
-    """
+    """Polygons to fill, arrays (k, 2) [m]: `rims` white, then `surfaces` grey, then the rest white."""
 
     rims: tuple[Points, ...]
     surfaces: tuple[Points, ...]
     dashes: tuple[Points, ...]
-    lines: tuple[Points, ...]
+    lines: tuple[Points, ...]  # between directions on SUMO's own networks, and where one stops or gives way
+    # parts of stop lines; of the way on from there, id of the traffic light and place among its letters
     lights: tuple[tuple[Points, str, int], ...]
 
 

@@ -27,16 +27,11 @@ class Mark(NamedTuple):
 
 
 class Notes(NamedTuple):
-    """What is written into a picture.
-
-    Attributes:
-        lines: kinds ("" for what is always said) and texts.
-        share: of the episode's time that is over, from 0 to 1; None for no bar.
-    """
+    """What is written into a picture."""
 
     marks: tuple[Mark, ...] = ()
-    lines: tuple[tuple[str, str], ...] = ()
-    share: float | None = None
+    lines: tuple[tuple[str, str], ...] = ()  # kinds ("" for what is always said) and texts
+    share: float | None = None  # of the episode's time that is over, from 0 to 1; None for no bar
 
 
 def notes(scene: Scene, scenario: Scenario, met: EgoStep | None, action: str, duration: float) -> Notes:

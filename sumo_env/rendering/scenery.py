@@ -23,25 +23,19 @@ Colour = Any  # red, green and blue, or one grey
 
 
 class Paint(NamedTuple):
-    """The colours of a picture.
-
-    Attributes:
-        ego, further: of learning cars.
-        crashed: also of learning cars, unless `in_event` is given: those have a mark then.
-        lights: red, yellow, green, and off.
-        in_event: of cars on which a risk event acts; None where that is not to be seen, nor windows and headlights.
-    """
+    """The colours of a picture."""
 
     ground: Colour
     asphalt: Colour
     line: Colour
     outline: Colour
     ego: Colour
-    further: Colour
+    further: Colour  # of further learning cars
     other: Colour
-    crashed: Colour
+    crashed: Colour  # also of learning cars, unless `in_event` is given: those have a mark then
     obstacle: Colour
-    lights: tuple[Colour, Colour, Colour, Colour]
+    lights: tuple[Colour, Colour, Colour, Colour]  # red, yellow, green, and off
+    # of cars on which a risk event acts; None where that is not to be seen, nor windows and headlights
     in_event: Colour = None
 
     def in_grey(self, weights: NDArray[np.float64]) -> Paint:

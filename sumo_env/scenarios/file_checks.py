@@ -36,31 +36,21 @@ UNSORTED = (
 
 
 class Contents:
-    """What route and additional files hold together.
-
-    Attributes:
-        vehicles: ids of vehicles and trips.
-        flows: ids of flows, whose vehicles are named ID.0, ID.1 and so on.
-        ids: of all elements.
-        models: car-following models of the vehicle types, by type; "" where a type names none.
-        distributions: ids of distributions of vehicle types.
-        people: whether somebody is on foot.
-        arrivals: of vehicles, trips and flows that say where they arrive, by their ids.
-        removing: edges on which calibrators or vaporizers remove vehicles.
-        first_departure: time of the first departure [s], None without one.
-        left_out: ids of what SUMO leaves out: it departs earlier than what stands before it in a route file.
-    """
+    """What route and additional files hold together."""
 
     def __init__(self) -> None:
-        self.vehicles: set[str] = set()
-        self.flows: set[str] = set()
-        self.ids: set[str] = set()
+        self.vehicles: set[str] = set()  # ids of vehicles and trips
+        self.flows: set[str] = set()  # ids of flows, whose vehicles are named ID.0, ID.1 and so on
+        self.ids: set[str] = set()  # of all elements
+        # car-following models of the vehicle types, by type; "" where a type names none
         self.models: dict[str, str] = {}
-        self.distributions: set[str] = set()
-        self.people = False
+        self.distributions: set[str] = set()  # ids of distributions of vehicle types
+        self.people = False  # whether somebody is on foot
+        # of vehicles, trips and flows that say where they arrive, by their ids
         self.arrivals: dict[str, Arrival] = {}
-        self.removing: set[str] = set()
-        self.first_departure: float | None = None
+        self.removing: set[str] = set()  # edges on which calibrators or vaporizers remove vehicles
+        self.first_departure: float | None = None  # time of it [s], None without one
+        # ids of what SUMO leaves out: it departs earlier than what stands before it in a route file
         self.left_out: list[str] = []
 
     def check_vehicle(self, name: str) -> None:

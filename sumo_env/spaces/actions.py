@@ -65,17 +65,11 @@ SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
 
 @dataclass(frozen=True)
 class DiscreteMetaAction:
-    """Lane changes and changes of the target speed.
+    """Lane changes and changes of the target speed."""
 
-    Attributes:
-        names: meta-actions by index.
-        target_speeds: that the ego can be commanded, rising [m/s].
-        by_sumo: whether SUMO drives the ego's speed, and its lanes.
-    """
-
-    names: dict[int, str]
-    target_speeds: tuple[float, ...]
-    by_sumo: tuple[bool, bool] = (False, False)
+    names: dict[int, str]  # meta-actions by index
+    target_speeds: tuple[float, ...]  # that the ego can be commanded, rising [m/s]
+    by_sumo: tuple[bool, bool] = (False, False)  # whether SUMO drives the ego's speed, and its lanes
     steers = False
     no_action = NO_ACTION
 
@@ -151,28 +145,19 @@ class ContinuousAction:
     """The ego's acceleration, the angle of its front wheels, or both in this order, each from -1 to 1.
 
     Where it does not steer, the second number changes lanes: below -1/3 to the left, above 1/3 to the right.
-
-    Attributes:
-        acceleration_range: that -1 and 1 stand for [m/s2].
-        steering_range: likewise [rad].
-        speed_range: speeds beyond which the ego is slowed down softly [m/s]; None: highway-env's 40 m/s either way.
-            On SUMO it stops accelerating and braking there, and at 0.
-        longitudinal, lateral: which of the two there are; the other one is 0.
-        dynamical: whether tyres slip (``BicycleVehicle``).
-        clip: whether numbers beyond -1 and 1 are clipped.
-        by_sumo: whether SUMO drives the ego's speed, and its lanes.
-        steers: whether the angle is that of the front wheels.
     """
 
-    acceleration_range: tuple[float, float] = (-5.0, 5.0)
-    steering_range: tuple[float, float] = (-pi / 4, pi / 4)
+    acceleration_range: tuple[float, float] = (-5.0, 5.0)  # that -1 and 1 stand for [m/s2]
+    steering_range: tuple[float, float] = (-pi / 4, pi / 4)  # likewise [rad]
+    # speeds beyond which the ego is slowed down softly [m/s]; None: highway-env's 40 m/s either way. On SUMO it stops
+    # accelerating and braking there, and at 0.
     speed_range: tuple[float, float] | None = None
-    longitudinal: bool = True
-    lateral: bool = True
-    dynamical: bool = False
-    clip: bool = True
-    by_sumo: tuple[bool, bool] = (False, False)
-    steers: bool = True
+    longitudinal: bool = True  # whether there is the first of the two, which is 0 else
+    lateral: bool = True  # likewise the second
+    dynamical: bool = False  # whether tyres slip (``BicycleVehicle``)
+    clip: bool = True  # whether numbers beyond -1 and 1 are clipped
+    by_sumo: tuple[bool, bool] = (False, False)  # whether SUMO drives the ego's speed, and its lanes
+    steers: bool = True  # whether the angle is that of the front wheels
     # by which highway-env pays a car that has no target speeds (``MDPVehicle.get_speed_index``)
     target_speeds = TARGET_SPEEDS
     names: ClassVar[dict[int, str]] = {}  # there are no meta-actions
@@ -234,13 +219,9 @@ class ContinuousAction:
 
 @dataclass(frozen=True)
 class DiscreteAction(ContinuousAction):
-    """A grid of the accelerations and angles of `ContinuousAction`, the acceleration's axis first.
+    """A grid of the accelerations and angles of `ContinuousAction`, the acceleration's axis first."""
 
-    Attributes:
-        actions_per_axis: numbers from -1 to 1 on each.
-    """
-
-    actions_per_axis: int = 3
+    actions_per_axis: int = 3  # numbers from -1 to 1 on each
     no_action = NO_ACTION
 
     @cached_property

@@ -33,23 +33,14 @@ except ImportError as error:
 
 
 class Engine(NamedTuple):
-    """What a `Session` drives.
+    """What a `Session` drives."""
 
-    Attributes:
-        module: libsumo, or traci, which has the same functions.
-        start: loads SUMO for the first time, with a command.
-        program: the first word of this command.
-        options: that a user's own may replace.
-        errors: that the module raises.
-        gone: errors that say that the user has ended SUMO.
-    """
-
-    module: Any
-    start: Callable[[list[str]], Any]
-    program: str
-    options: Mapping[str, str]
-    errors: tuple[type[Exception], ...]
-    gone: tuple[type[Exception], ...] = ()
+    module: Any  # libsumo, or traci, which has the same functions
+    start: Callable[[list[str]], Any]  # loads SUMO for the first time, with a command
+    program: str  # the first word of this command
+    options: Mapping[str, str]  # that a user's own may replace
+    errors: tuple[type[Exception], ...]  # that the module raises
+    gone: tuple[type[Exception], ...] = ()  # errors that say that the user has ended SUMO
 
 
 LIBSUMO = Engine(libsumo, libsumo.start, "sumo", {}, (libsumo.TraCIException, libsumo.FatalTraCIError))

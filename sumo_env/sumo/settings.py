@@ -28,15 +28,10 @@ NOISY = {"carFollowModel", "sigma", "lcSigma"}  # attributes with which SUMO's d
 
 @dataclass(frozen=True)
 class Settings:
-    """What SUMO is loaded with.
+    """What SUMO is loaded with."""
 
-    Attributes:
-        options: of SUMO, by their long names without dashes.
-        elements: contents of one more additional file, as XML.
-    """
-
-    options: Mapping[str, str]
-    elements: str = ""
+    options: Mapping[str, str]  # of SUMO, by their long names without dashes
+    elements: str = ""  # contents of one more additional file, as XML
 
 
 def placed_settings(

@@ -25,21 +25,15 @@ class Tilt:
 
     In each policy step those vehicles are near that are within `reach` of a learning car at its start.
 
-    Attributes:
-        factor: times as often, from 1 on.
-        reach: from centre to centre [m].
-        rates, dose: of the events at factor 1.
-        duration: of the episode [s], after which no event begins.
-
     Raises:
         ConfigError: a factor or reach that makes no sense, or no events at all.
     """
 
-    factor: float
-    reach: float
-    rates: RiskRates
-    dose: float
-    duration: float
+    factor: float  # times as often, from 1 on
+    reach: float  # from centre to centre [m]
+    rates: RiskRates  # of the events at factor 1
+    dose: float  # likewise
+    duration: float  # of the episode [s], after which no event begins
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.factor < inf or self.factor * self.rate > MOST:

@@ -55,17 +55,13 @@ EMERGENCY_DECEL = 6.0  # [m/s2] highway-env's: no source
 
 
 class MeasuredPool(NamedTuple):
-    """The drivers of a task as they were measured, in the place of its `DriverPool`.
+    """The drivers of a task as they were measured, in the place of its `DriverPool`."""
 
-    Attributes:
-        accel: [m/s2].
-        critical_gap: the smallest one that a driver takes who has to give way [s]; None on roads without a crossing.
-        crossing: the part of it that SUMO's estimate of the crossing takes [s] (tests/sumo_env/traffic/test_measured.py
-            measures it); jmTimegapMinor is the rest.
-    """
-
-    accel: Normal = ACCEL
+    accel: Normal = ACCEL  # [m/s2]
+    # the smallest gap that a driver takes who has to give way [s]; None on roads without a crossing
     critical_gap: Normal | None = None
+    # the part of it that SUMO's estimate of the crossing takes [s] (tests/sumo_env/traffic/test_measured.py measures
+    # it); jmTimegapMinor is the rest
     crossing: float = 0.0
 
     @property

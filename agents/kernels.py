@@ -47,31 +47,23 @@ INPUTS, WIDTH, IS_RECTIFIED, WEIGHTS, BIASES, ROWS, VALUES = range(7)  # columns
 
 
 class Pass(NamedTuple):
-    """A network, and what its pass over n observations leaves for the way back.
+    """A network, and what its pass over n observations leaves for the way back."""
 
-    Attributes:
-        weights, gradient: of the whole network, in torch's memory.
-        mean, deviation: of the inputs, (vehicles, features).
-        layers: a row each: inputs, outputs, whether a ReLU follows, where its weights and biases (-1: none) begin in
-            `weights`; and how many rows it gives, which begin in `values`. starts: the first layer of each part, and
-            the number of layers.
-        ego, others, seen, both: what the parts ego, others, output and base read, (rows, width).
-        vehicles: their codes, (n, vehicles, width). attention: (n, heads, vehicles).
-    """
-
-    weights: np.ndarray
-    gradient: np.ndarray
-    mean: np.ndarray
-    deviation: np.ndarray
+    weights: np.ndarray  # of the whole network, in torch's memory
+    gradient: np.ndarray  # likewise
+    mean: np.ndarray  # of the inputs, (vehicles, features)
+    deviation: np.ndarray  # likewise
+    # a row each: inputs, outputs, whether a ReLU follows, where its weights and biases (-1: none) begin in `weights`;
+    # and how many rows it gives, which begin in `values`
     layers: np.ndarray
-    starts: np.ndarray
+    starts: np.ndarray  # the first layer of each part, and the number of layers
     values: np.ndarray
-    ego: np.ndarray
-    others: np.ndarray
-    seen: np.ndarray
-    both: np.ndarray
-    vehicles: np.ndarray
-    attention: np.ndarray
+    ego: np.ndarray  # what the part ego reads, (rows, width)
+    others: np.ndarray  # likewise the part others
+    seen: np.ndarray  # likewise the part output
+    both: np.ndarray  # likewise the part base
+    vehicles: np.ndarray  # their codes, (n, vehicles, width)
+    attention: np.ndarray  # (n, heads, vehicles)
 
 
 @compiled

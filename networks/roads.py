@@ -43,7 +43,7 @@ class Road:
     oncoming: bool = False  # whether the lane to the left is that of oncoming traffic
     # whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles)
     clears_exits: bool = False
-    joined: bool = False  # whether lanes continue others: highway-env's connected lanes make a difference
+    joined: bool = False  # whether lanes continue others, so that highway-env's connected lanes matter
     regulated: bool = False  # whether highway-env applies right of way (``RegulatedRoad``)
     # whether highway-env computes lanes by turning those of one arm (``IntersectionEnv._make_road``)
     turned_by_matrix: bool = False

@@ -105,19 +105,12 @@ class Place(NamedTuple):
 
 
 class NearEvents(NamedTuple):
-    """Risk events near learning cars, which come more often (`traffic.tilt`), since the start of the episode.
+    """Risk events near learning cars, which come more often (`traffic.tilt`), since the start of the episode."""
 
-    Attributes:
-        events: that have come.
-        expected_events: mean number of these at factor 1, given who was near.
-        other_events: of all other vehicles, those to come included.
-        log_weight: logarithm of the likelihood at factor 1 over that of what has happened.
-    """
-
-    events: int
-    expected_events: float
-    other_events: int
-    log_weight: float
+    events: int  # that have come
+    expected_events: float  # mean number of these at factor 1, given who was near
+    other_events: int  # of all other vehicles, those to come included
+    log_weight: float  # logarithm of the likelihood at factor 1 over that of what has happened
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,14 +17,11 @@ ATTENTION = 1.0  # [s] before it would have to brake, SUMO decides about a stop 
 
 
 class LightsAhead:
-    """The lights on the way of one ego.
-
-    Attributes:
-        run: red lights that it has run in this policy step.
-    """
+    """The lights on the way of one ego."""
 
     def __init__(self, session: Session, name: str) -> None:
-        self._session, self._name, self.run = session, name, 0
+        self._session, self._name = session, name
+        self.run = 0  # red lights that it has run in this policy step
         self._signals: Sequence[tuple[str, int, float, str]] = ()
 
     def look(self) -> None:

@@ -352,10 +352,5 @@ class ReplicaVectorEnv(VectorEnv):
         if "goal_reward" in self._single.config:  # see `info.information`
             infos["is_success"] = infos["arrived"]
         if not mask.all():
-            infos = {name: _where(mask, values) for name, values in infos.items()}
+            infos = {name: np.where(mask, one.T, np.zeros_like(one).T).T for name, one in infos.items()}
         return {key: part.copy() for name in infos for key, part in ((name, infos[name]), (f"_{name}", mask))}
-
-
-def _where(mask: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:
-    """Values where the mask says so, else zeros."""
-    return np.where(mask.reshape(-1, *[1] * (values.ndim - 1)), values, np.zeros_like(values))

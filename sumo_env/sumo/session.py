@@ -142,9 +142,7 @@ class Session:
         desired_speed: that it follows on a free road [m/s]; modes: speed mode and lane-change mode.
         """
         self._known.add(name)
-        if size == CAR_SIZE:
-            self.sizes.pop(name, None)
-        else:
+        if size != CAR_SIZE:
             self.sizes[name] = size
         self.vehicle.add(name, route, vehicle_type, departSpeed="0")
         self.vehicle.moveTo(name, lane, position)

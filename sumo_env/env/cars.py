@@ -56,12 +56,7 @@ def asked(config: Mapping[str, Any] | None, cars: int = 1) -> Asked:
 
 
 class Cars:
-    """Learning cars of one simulation.
-
-    Attributes:
-        envs: of the cars; the first one holds the simulator and draws the traffic. All share one random generator.
-        numbers: of the cars that have come in this episode, by their ids in the scene.
-    """
+    """Learning cars of one simulation."""
 
     def __init__(
         self, make: Make, given: Asked, render_mode: str | None = None, removes_crashed: bool = False
@@ -69,10 +64,11 @@ class Cars:
         """make: makes the environment of a car; removes_crashed: whether crashed cars leave the road."""
         if given.cars > 1 and given.config.get("manual_control"):
             raise ConfigError("'manual_control' drives one car: keys say nothing about further ones")
+        # of the cars; the first one holds the simulator and draws the traffic. All share one random generator.
         self.envs = [make(given.config, None if number else render_mode) for number in range(given.cars)]
         self.first, self._removes_crashed = self.envs[0], removes_crashed
         self.first.cars = given.cars
-        self.numbers: dict[str, int] = {}
+        self.numbers: dict[str, int] = {}  # of the cars that have come in this episode, by their ids
 
     def reset(self, seed: int | None, options: dict[str, Any] | None) -> dict[int, Seen]:
         """Start an episode; returns what the cars see that are there, by their numbers."""

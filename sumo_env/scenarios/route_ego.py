@@ -24,24 +24,19 @@ from sumo_env.traffic.scenario import Arrival, Scenario
 
 
 class RouteEgo:
-    """The ego of one episode, from its departure on.
-
-    Attributes:
-        speed: [m/s]; vehicle: it on the road.
-        ended, ahead, overlap: see `Place`.
-        overlaps_count: whether each touch of outlines is a crash.
-        lights: on its way.
-    """
+    """The ego of one episode, from its departure on. `ended`, `ahead` and `overlap`: see `Place`."""
 
     def __init__(self, session: Session, network: Network, vehicle: Vehicle, scenario: Scenario) -> None:
+        """vehicle: it on the road."""
         assert scenario.traffic is not None
         name = vehicle.name
         self._session, self._network, self._name, self.vehicle = session, network, name, vehicle
         self._obeys_lights, self._is_regular = scenario.obeys_lights, scenario.risk == 0.0
         self._measures_energy, self._sees_foes = scenario.traffic.measures_energy, scenario.traffic.sees_foes
+        # whether each touch of outlines is a crash
         self.overlaps_count, self.overlap = scenario.traffic.overlaps_are_crashes, ""
         self._class = session.vehicle.getVehicleClass(name)
-        self.speed = session.vehicle.getSpeed(name)
+        self.speed = session.vehicle.getSpeed(name)  # [m/s]
         self.ended, self.lights = "", LightsAhead(session, name)
         self._fuel = self._electricity = 0.0  # in this policy step
         self._target_speed: float | None = None

@@ -19,21 +19,15 @@ BY_SUMO = EgoCommand(None, None)
 
 
 class Car:
-    """One learning car.
-
-    Attributes:
-        ego: an `Ego` or a `RouteEgo`, which drives it.
-        around: what is near it.
-        is_commanded: whether it has a command for this policy step; else SUMO drives it.
-        distance: covered in this policy step [m].
-    """
+    """One learning car."""
 
     def __init__(self, session: Session, name: str, ego: Any, meeting: Meeting | None) -> None:
-        """See `Surroundings`."""
-        self.name, self.ego, self.is_commanded = name, ego, False
-        self.around = Surroundings(session, name, ego.speed, meeting)
+        """ego: an `Ego` or a `RouteEgo`, which drives it; meeting: see `Surroundings`."""
+        self.name, self.ego = name, ego
+        self.is_commanded = False  # whether it has a command for this policy step; else SUMO drives it
+        self.around = Surroundings(session, name, ego.speed, meeting)  # what is near it
         self._session, self._detector = session, CrashDetector()
-        self._least_ttc, self.distance = inf, 0.0
+        self._least_ttc, self.distance = inf, 0.0  # [s], and covered [m], in this policy step
 
     def obey(self, command: Any) -> None:
         """Begin a policy step."""

@@ -253,19 +253,14 @@ class DQN:
 
 
 class Training:
-    """One agent in training, with everything that is written down about it.
-
-    Attributes:
-        probe: the agent's first observations, on which its Q-values are watched.
-        probe_q: rows of update, mean and largest of max_a |Q| on the probe: the signs of divergence.
-        goals_clipped: rows of update and share of the goals that were clipped since the row before.
-    """
+    """One agent in training, with everything that is written down about it."""
 
     def __init__(self, agent: DQN, env: gym.Env[Any, Any]) -> None:
         self.agent, self.env = agent, Episodes(env)
-        self.probe: np.ndarray | None = None
+        self.probe: np.ndarray | None = None  # its first observations, on which its Q-values are watched
+        # rows of update, mean and largest of max_a |Q| on the probe: the signs of divergence
         self.probe_q: list[list[float]] = []
-        self.goals_clipped: list[list[float]] = []
+        self.goals_clipped: list[list[float]] = []  # rows of update, and share clipped since the row before
         self._clipped = 0
 
     def play(self, steps: int) -> None:

@@ -24,17 +24,13 @@ class Episodes(gym.Wrapper[Any, Any, Any, Any]):
 
     Args:
         progress: called with environment steps after each episode.
-
-    Attributes:
-        rows: the values of each of COLUMNS, episode by episode.
-        steps: environment steps so far.
     """
 
     def __init__(self, env: gym.Env[Any, Any], progress: Callable[[int], None] = lambda _: None) -> None:
         super().__init__(env)
         self._progress = progress
-        self.rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
-        self.steps = 0
+        self.rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}  # values, episode by episode
+        self.steps = 0  # of the environment so far
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
         """Begin an episode."""

@@ -79,67 +79,48 @@ def _emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _emit_each(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """Arrays by their addresses and length; the results replace the first."""
-    _, *addresses, count = arguments
-    pointers = [builder.inttoptr(one, POINTER) for one in (*addresses, addresses[0])]
-    _call(builder, signature.args[0].symbol, pointers, count)
+    """Arrays; the results replace the first."""
+    parts = zip(signature.args[1:], arguments[1:], strict=True)
+    arrays = [context.make_array(kind)(context, builder, array) for kind, array in parts]
+    pointers = [builder.bitcast(array.data, POINTER) for array in (*arrays, arrays[0])]
+    _call(builder, signature.args[0].symbol, pointers, arrays[0].nitems)
     return context.get_dummy_value()
 
 
-@intrinsic
 def _unary(typing_context: Any, loop: Any, x: Any) -> Any:
     return types.float64(loop, types.float64), _emit
 
 
-@intrinsic
 def _binary(typing_context: Any, loop: Any, x: Any, y: Any) -> Any:
     return types.float64(loop, types.float64, types.float64), _emit
 
 
-@intrinsic
-def _each(typing_context: Any, loop: Any, address: Any, count: Any) -> Any:
-    return types.void(loop, types.uintp, types.int64), _emit_each
+def _each(typing_context: Any, loop: Any, numbers: Any) -> Any:
+    return types.void(loop, numbers), _emit_each
 
 
-@intrinsic
-def _each_pair(typing_context: Any, loop: Any, address: Any, other: Any, count: Any) -> Any:
-    return types.void(loop, types.uintp, types.uintp, types.int64), _emit_each
+def _each_pair(typing_context: Any, loop: Any, numbers: Any, others: Any) -> Any:
+    return types.void(loop, numbers, others), _emit_each
 
 
-@inlined
-def each(loop: Any, numbers: Any) -> None:
-    """The function of every number of an array, in place; some loops take eight for the time of one."""
-    _each(loop, numbers.ctypes.data, len(numbers))  # type: ignore[call-arg]
+def _of(loop: Any, *numbers: float) -> float:
+    return float(loop(*numbers))
 
 
-@inlined
-def each_pair(loop: Any, numbers: Any, others: Any) -> None:
-    """The function of two numbers for every number of an array and of another; the results replace the former."""
-    _each_pair(loop, numbers.ctypes.data, others.ctypes.data, len(numbers))  # type: ignore[call-arg]
+def _in_place(loop: Any, numbers: Any, *others: Any) -> None:
+    loop(numbers, *others, out=numbers)
+
+
+_of_one: Any = _of if AS_PYTHON else intrinsic(_unary)
+# the arc tangent of y and x or the power of two numbers, such as ``binary(power, x, y)``
+binary: Any = _of if AS_PYTHON else intrinsic(_binary)
+# the function of every number of an array, in place; some loops take eight for the time of one
+each: Any = _in_place if AS_PYTHON else intrinsic(_each)
+# the function of two numbers for every number of an array and of another; the results replace the former
+each_pair: Any = _in_place if AS_PYTHON else intrinsic(_each_pair)
 
 
 @inlined
 def unary(loop: Any, x: float) -> float:
     """The tangent, arc sine or arc tangent of a number, such as ``unary(tan, x)``; all of 0 are 0."""
-    return x if x == 0.0 else _unary(loop, x)  # type: ignore[call-arg]
-
-
-@inlined
-def binary(loop: Any, x: float, y: float) -> float:
-    """The arc tangent of y and x or the power of two numbers, such as ``binary(power, x, y)``."""
-    return _binary(loop, x, y)  # type: ignore[call-arg]
-
-
-if AS_PYTHON:  # the four as Python; an intrinsic cannot be called then
-
-    def each(loop: Any, numbers: Any) -> None:  # noqa: D103
-        loop(numbers, out=numbers)
-
-    def each_pair(loop: Any, numbers: Any, others: Any) -> None:  # noqa: D103
-        loop(numbers, others, out=numbers)
-
-    def unary(loop: Any, x: float) -> float:  # noqa: D103
-        return x if x == 0.0 else float(loop(x))
-
-    def binary(loop: Any, x: float, y: float) -> float:  # noqa: D103
-        return float(loop(x, y))
+    return x if x == 0.0 else _of_one(loop, x)

@@ -31,7 +31,6 @@ from experiments.study.design.levels import level_names
 from experiments.study.design.sheet import sheet
 from experiments.study.design.traffic import AT_A_DOSE
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
-from sumo_env.networks.lanes import WIDTH
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene, is_obstacle
 from sumo_env.tasks import TASKS
@@ -119,9 +118,8 @@ def traffic_near(scenes: Sequence[Scene], task: str, road: Road, interval: float
         headway = headways(*map(np.ascontiguousarray, (scene.x, scene.y, scene.speed, scene.heading)))
         times += headway[driving & np.isfinite(headway)].tolist()
         if sheet(task).lane_changes:
-            now = {
-                scene.ids[row]: _lane(scene, int(row), task, road, lanes) for row in np.flatnonzero(driving)
-            }
+            rows = np.flatnonzero(driving).tolist()
+            now = {scene.ids[row]: _lane(scene, row, road, lanes) for row in rows}
             pairs = [(lanes[name], lane) for name, lane in now.items() if name in lanes]
             changed += [before[:2] == lane[:2] and before[2] != lane[2] for before, lane in pairs]
             lanes = now
@@ -135,11 +133,9 @@ def traffic_near(scenes: Sequence[Scene], task: str, road: Road, interval: float
     }
 
 
-def _lane(scene: Scene, row: int, task: str, road: Road, lanes: Mapping[str, LaneIndex]) -> LaneIndex:
+def _lane(scene: Scene, row: int, road: Road, lanes: Mapping[str, LaneIndex]) -> LaneIndex:
     """The lane of a vehicle, which was on one of `lanes` a step before."""
     x, y = scene.x.item(row), scene.y.item(row)
-    if task == "highway":
-        return ("0", "1", min(max(round(y / WIDTH), 0), road.count("0", "1") - 1))
     known = lanes.get(scene.ids[row])
     if known is not None and road.lane(known).on_lane(x, y):  # nearly always, and quickly told
         return known

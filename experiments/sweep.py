@@ -32,7 +32,7 @@ from experiments import backends
 from experiments.backends import MakeEnv
 from experiments.study.compute.cells import CellTask, compute
 from experiments.study.compute.executors import EXECUTORS, cores
-from experiments.study.compute.progress import duration, seconds
+from experiments.study.compute.progress import costs, duration
 from experiments.study.compute.run import compute_here
 from experiments.study.design.cell import Cell
 from experiments.study.design.experiment import Experiment, shard
@@ -155,7 +155,7 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     for kind in ("agent", "baseline", "test"):
         table[f"{kind}s"] = [cell.kind == kind for cell in cells]
     table["finished"] = [cell.name in there for cell in cells]
-    table["core hours"] = [seconds(cell) / 3600 for cell in cells] * ~table["finished"]
+    table["core hours"] = [sum(costs(cell)) / 3600 for cell in cells] * ~table["finished"]
     table = table.groupby(["task", "level"], sort=False, as_index=False).sum()
     print(f"preset {options.preset}: {options.about}\nresults go to {options.directory}")
     print(table.to_string(index=False, float_format="{:.2f}".format))

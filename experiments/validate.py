@@ -25,10 +25,11 @@ from typing import Annotated, Any
 
 import pandas as pd
 
+from experiments.study.design.cell import installed
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, choose_levels, choose_tasks
 from experiments.study.design.traffic import TRAFFICS
-from experiments.study.design.verdict import STORED, versions
+from experiments.study.design.verdict import STORED
 from experiments.support.arguments import argument, as_typed, command
 from experiments.support.errors import UserError, check_least, writing
 from experiments.support.files import read_json, write_file, write_json
@@ -95,8 +96,9 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     named = [options.out.name if word == str(options.out) else word for word in arguments]
     found = checks.scorecard(table)
     source = f"{scenarios} scenarios of each level ({as_typed('validate', named)})"
+    versions = {"libsumo": installed("libsumo")}  # all else is in the fingerprint
     verdict = {
-        task: {"source": source, "versions": versions(), "fingerprint": dynamics("sumo", task), **own}
+        task: {"source": source, "versions": versions, "fingerprint": dynamics("sumo", task), **own}
         for task, own in checks.summary(found, tasks).items()
     }
     replica = checks.replica_checks(table)

@@ -20,7 +20,6 @@ from experiments.study.results.loaded import SETTING, Results
 from experiments.study.results.store import of_other_weights
 from experiments.support.files import canonical_json
 
-Cell = Mapping[str, Any]
 ENVIRONMENT = ("env_config ", "eval ", "version of ", "dynamics")  # settings without a trained agent too
 ALONE = "no agents of both arms with its settings to compare with"
 
@@ -123,7 +122,7 @@ def _differing(own: Mapping[str, Any], reference: Mapping[str, Any], names: Coll
     )
 
 
-def group(cell: Cell) -> dict[str, Any]:
+def group(cell: Mapping[str, Any]) -> dict[str, Any]:
     """What a cell is computed with, flat: all of its key and versions but the kind, arm, seed and preset.
 
     Cells of one place that differ in it are of two versions, and never share a mean.

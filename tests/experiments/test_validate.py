@@ -47,7 +47,8 @@ def test_an_update_stores_the_driven_tasks_and_keeps_the_others(
     assert len(judged) == sum(record["tasks"]["u-turn"]["counts"].values())
     assert json.loads(stored.read_text()) == {**before, "u-turn": record["tasks"]["u-turn"]} != before
     key = {"task": "u-turn", "dynamics": dynamics("sumo", "u-turn")}
-    assert verdict.verdicts([{"key": key, "versions": verdict.versions()}]) == record["tasks"]
+    versions = record["tasks"]["u-turn"]["versions"]
+    assert verdict.verdicts([{"key": key, "versions": versions}]) == record["tasks"]
     assert verdict.verdicts([{"key": {**key, "dynamics": "other"}, "versions": {}}]) == {}
 
 

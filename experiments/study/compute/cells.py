@@ -20,7 +20,7 @@ from experiments.study.compute.evaluate import evaluate
 from experiments.study.compute.executors import cores, open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
 from experiments.study.compute.policies import driver
-from experiments.study.compute.progress import ProgressDisplay, costs, duration, seconds
+from experiments.study.compute.progress import ProgressDisplay, costs, duration
 from experiments.study.compute.run import Heartbeat, run
 from experiments.study.design.arms import gate_traffics
 from experiments.study.design.cell import Cell, learner_of, tested_on
@@ -214,7 +214,7 @@ def compute(
     there = {name for name, task in tasks.items() if task.done()}
     for name in there:  # where a kill left it
         shutil.rmtree(store.work / name, ignore_errors=True)
-    sizes = {cell.name: seconds(cell) for cell in cells}
+    sizes = {cell.name: sum(costs(cell)) for cell in cells}
     print(f"{len(tasks)} cells, {len(there)} of them finished before; results go to {directory}", flush=True)
     if executor == "local" and (left := sum(size for name, size in sizes.items() if name not in there)):
         number = workers or cores()

@@ -36,11 +36,6 @@ def costs(cell: Cell) -> tuple[float, float]:
     return updates * update + steps * STEP[cell.backend], tests
 
 
-def seconds(cell: Cell) -> float:
-    """Expected time of a cell on one core of a common server [s]."""
-    return sum(costs(cell))
-
-
 def duration(seconds: float) -> str:
     """A time span as a person says it: "40 s", "12 min", "3 h 20 min"."""
     if seconds < 90:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,6 @@ from experiments.study.design.sheet import task_of
 from experiments.support.files import read_json
 
 STORED = Path(__file__).resolve().parents[2] / "validation" / "verdict.json"
-
-
-def versions() -> dict[str, str]:
-    """The packages that a verdict depends on, apart from what a fingerprint covers."""
-    return {name: version(name) for name in ("libsumo",)}
 
 
 def verdicts(cells: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

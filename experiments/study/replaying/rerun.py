@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import pandas as pd
 
 from agents import pretrained
+from agents.policies import Policy
 from agents.rules.constant import Constant
 from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.policies import driver
@@ -18,9 +19,6 @@ from experiments.study.design.cell import RESULT_SCHEMA, installed, test_of, tes
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError
-
-if TYPE_CHECKING:
-    from agents.greedy import Greedy
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ def play_again(
     return play(*driver(key, case.code, env, weights), drive, on_step)
 
 
-def published(case: Case) -> Greedy | None:
+def published(case: Case) -> Policy | None:
     """The agent of a cell from the folder's own file of agents, or that of the repository; None if it is in neither."""
     for file in (case.store.directory / pretrained.FILE.name, pretrained.FILE):
         if file.exists():

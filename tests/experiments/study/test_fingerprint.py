@@ -10,8 +10,9 @@ import pytest
 
 from experiments.backends import make_env
 from experiments.study.design import fingerprint
+from experiments.study.design.cell import installed
 from experiments.study.design.fingerprint import check_dynamics, check_learners, driven, known_dynamics
-from experiments.study.design.verdict import verdicts, versions
+from experiments.study.design.verdict import verdicts
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.tasks import PUBLISHED, every_task
@@ -81,7 +82,7 @@ def test_of_a_new_task_the_simulators_that_have_it_are_added_alone(monkeypatch, 
 def cells(*tasks: str) -> list[dict[str, Any]]:
     """Records of cells of today."""
     keys = [{"task": task, "backend": "sumo", "dynamics": known_dynamics("sumo", task)} for task in tasks]
-    return [{"key": key, "versions": {**versions(), "torch": "2"}} for key in keys]
+    return [{"key": key, "versions": {"libsumo": installed("libsumo"), "torch": "2"}} for key in keys]
 
 
 def test_the_package_knows_the_present_dynamics() -> None:

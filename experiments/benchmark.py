@@ -245,19 +245,18 @@ def run(options: Options) -> dict[str, Any]:
     }
     if not has_envpool():
         print("EnvPool is left out: pip install envpool", file=sys.stderr)
-    for part in options.parts:
-        print(part, flush=True)
-        results[part] = [line for task in tasks for line in PARTS[part](task, *effort)]
-        write_json(options.out / "benchmark.json", results)
-        print(pd.DataFrame(results[part]).to_string(index=False, float_format="{:.3g}".format, na_rep=""))
+    with writing(options.out):
+        for part in options.parts:
+            print(part, flush=True)
+            results[part] = [line for task in tasks for line in PARTS[part](task, *effort)]
+            write_json(options.out / "benchmark.json", results)
+            print(pd.DataFrame(results[part]).to_string(index=False, float_format="{:.3g}".format, na_rep=""))
     return results
 
 
 def main(options: Options) -> int:
     """Do what the options ask for; returns the exit status."""
-    choose_tasks(options.tasks)
-    with writing(options.out):
-        run(options)
+    run(options)
     return 0
 
 

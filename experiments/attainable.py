@@ -17,8 +17,6 @@ The scenarios are those of no test and no training. Writes found.json; --update 
 results/attainable.json, by which reports score returns. The same command run again goes on where it was stopped.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

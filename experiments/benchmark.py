@@ -8,8 +8,6 @@ machine is never equally fast for long. Medians over the turns are taken. Rates 
 docs/performance.md says how to read them.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

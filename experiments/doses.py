@@ -7,8 +7,6 @@ Drives on SUMO and, if it has the task, on the replica, and writes doses.csv. Th
 it was stopped.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -16,8 +16,6 @@ Other tasks are tested in the same way, on scenarios that are not frozen, beside
 benchmark.py measures the speed of the simulators and has nothing to do with this test.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -13,8 +13,6 @@ Writes curve.json, curve.csv and curve.svg, of all policies. The same command ru
 finished batches of episodes are never driven twice. docs/rare.md says what the columns mean, and what to beware of.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -17,8 +17,6 @@ Exit status: 0 the episode was reproduced, 1 it came out differently (the messag
 versions have changed since) or no way around the crash was found, 2 the case does not exist or has no crash.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

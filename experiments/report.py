@@ -11,8 +11,6 @@ drives) and effects.csv are its largest tables. The report shows the films that 
 Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -12,8 +12,6 @@ Exit status: 0 all done, 1 some cells failed (everything else is kept), 2 someth
 first, 130 stopped with Ctrl-C.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -19,8 +19,6 @@ one moment with both endings. The same command run again goes on where it was st
 it.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

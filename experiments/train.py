@@ -9,8 +9,6 @@ An agent is a cell of a sweep, so that all options of sweep.py choose it; by def
 Further agents in the same directory are compared by report.py.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

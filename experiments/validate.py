@@ -9,8 +9,6 @@ its whole 90 % interval lies outside of the margin. Exit status: 0 no margin is 
 be put right first. docs/validation.md says how to read them.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -9,8 +9,6 @@ drives begin at the same places and speeds. The caption says how often agents cr
 next report of DIR shows the films that lie there.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Everything that the report says, as frames: a pure function of the stored cells."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from itertools import product

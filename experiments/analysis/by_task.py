@@ -4,8 +4,6 @@ A task is one number only where its levels are averaged, each alike. A mean over
 without each task in turn, because one task can make it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """What the effects say about each claim; decided by tests that the plan names, not by eye."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 import numpy as np

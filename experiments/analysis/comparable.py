@@ -5,8 +5,6 @@ task and traffic level one group is analysed. An agent may also have been tested
 several cells: one of them counts. What is set aside is named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -6,8 +6,6 @@ if a policy without foresight and with the same actions never does. Marks are th
 scenarios, fixed before the plan. All agents count, competent or not; a second table holds the competent settings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 And how much more often agents crash than careful and constant drivers of their progress: distance to the frontier.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -9,8 +9,6 @@ columns of an estimate: estimate, se, df, low, high (95 % interval, in the unit 
 status ("ok", or why there is no interval, see `estimate`). Further means are made of the columns of WORKING_COLUMNS.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

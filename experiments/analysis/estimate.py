@@ -10,8 +10,6 @@ true null hypothesis in more than half of all experiments.
 one mean or of columns of them. An interval that cannot be had is NaN with the reason in `status`, never an exception.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -8,8 +8,6 @@ By some plans all agents together are checked too, before anything is compared: 
 learn, does it know when a test ends? Failed checks are reported with the effects; nothing is excluded.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

@@ -4,8 +4,6 @@ Every module of the analysis reads its choices here, and the SHA-256 of `as_data
 with the same one were made by the same plan. Whatever is not named confirmatory is exploratory.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, replace

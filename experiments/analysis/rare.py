@@ -6,8 +6,6 @@ components (Owen and Zhou 2000), so that one set of episodes gives the whole cur
 as well: no weight is larger than the number of components.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """From test episodes to the scores of each arm: its agents' outcomes on the scenarios that all of them met."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 

@@ -9,8 +9,6 @@ The unit is the pair, and scenarios are a sample too (`estimate.linear`). Of one
 the interval is about these two drivers, not about a way of training. Ratios of sums are linearised.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

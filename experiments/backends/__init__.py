@@ -4,8 +4,6 @@ Each is imported only when it is asked for: a SUMO sweep needs neither highway-e
 libsumo.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping
 from typing import Any

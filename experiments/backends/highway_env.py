@@ -13,8 +13,6 @@ says how far drivers see beyond the end of their lane (the highway and the two-w
     "path"       onto the next lanes, distances along the path (the default).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

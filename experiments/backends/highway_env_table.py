@@ -1,7 +1,5 @@
 """highway-env's observations as the study uses them: with ranges, and the features of `sumo_env.spaces.approach`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Parameters are set on the instance, never on the class: highway-env's intersecti
 it every other task of the process.
 """
 
-from __future__ import annotations
-
 from typing import Any, Self
 
 from highway_env.road.lane import AbstractLane

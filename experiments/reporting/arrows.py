@@ -1,7 +1,5 @@
 """Figures with an arrow for each task, from control to treated agents: what the study found, at a look."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

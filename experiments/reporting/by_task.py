@@ -1,7 +1,5 @@
 """What every report and page leads with, as people read it: the tasks, the means over them, and where agents fail."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from itertools import product
 from typing import Any

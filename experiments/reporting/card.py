@@ -1,7 +1,5 @@
 """What a policy did in the frozen test, with intervals over scenarios: numbers, frames of text, and a figure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any

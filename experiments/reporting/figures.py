@@ -6,8 +6,6 @@ give the same bytes); their colours are CSS variables with a fallback, so that a
 scheme, and their ids carry the figure's name.
 """
 
-from __future__ import annotations
-
 import html
 import io
 import re

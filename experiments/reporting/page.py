@@ -1,7 +1,5 @@
 """What the templates show: frames of text, figures and films of one folder; no decisions, no words."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Figures of risk events: crash rates against their rate (`experiments/rare.py`), and what doses are beside roads."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import cycle
 from typing import Any

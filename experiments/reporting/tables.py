@@ -3,8 +3,6 @@
 Numbers stand in them as people read them: digits, units, signs, points instead of shares.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Who gets into danger, and who gets out of it: the table and the figure of `experiments/takeover.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path

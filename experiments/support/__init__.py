@@ -1,7 +1,5 @@
 """What every command needs, whatever it measures."""
 
-from __future__ import annotations
-
 import os
 
 VARIABLES = [f"{library}_NUM_THREADS" for library in ("OMP", "MKL", "OPENBLAS", "NUMEXPR", "NUMBA")]

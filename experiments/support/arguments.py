@@ -1,7 +1,5 @@
 """The command line of every command: a dataclass of options, whose texts are the help."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence

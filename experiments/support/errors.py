@@ -1,7 +1,5 @@
 """What a user can put right: said in one line, without a traceback, with exit status 2."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

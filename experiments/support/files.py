@@ -1,7 +1,5 @@
 """Files that are either there whole or not there at all, whatever is killed in between."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Episodes as animated pictures: recorded at every other simulation step, put side by side, saved as GIF or MP4."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

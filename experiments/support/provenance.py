@@ -1,7 +1,5 @@
 """Where a result comes from: versions, machine, revision. Stored with every cell, not part of its name."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

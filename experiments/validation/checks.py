@@ -12,8 +12,6 @@ each simulator drives the three seconds before an episode itself, two episodes s
 the arithmetic is the same.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Sequence

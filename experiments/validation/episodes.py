@@ -5,8 +5,6 @@ after every policy step. The egos are the rules of `agents`, two that repeat a f
 Each `Part` of the episodes is a file of its own, which the study's runner has written.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing

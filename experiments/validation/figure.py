@@ -1,7 +1,5 @@
 """The checks of SUMO against highway-env as one figure."""
 
-from __future__ import annotations
-
 import matplotlib
 import numpy as np
 import pandas as pd

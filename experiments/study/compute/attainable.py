@@ -1,7 +1,5 @@
 """What can be had in a setting: episodes of drivers without foresight, and the best sequences of actions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, fields

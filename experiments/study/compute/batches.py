@@ -1,7 +1,5 @@
 """Episodes in batches: each is driven once, and is a file of rows, so that a command goes on where it was stopped."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing

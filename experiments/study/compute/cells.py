@@ -1,7 +1,5 @@
 """Cells computed in processes, each once, and what is computed for one: train, test, store."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Callable, Iterable, Sequence

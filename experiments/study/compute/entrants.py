@@ -1,14 +1,12 @@
 """Who drives in a test: any policy by its name, resolved once into plain data that every process drives alike."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import gymnasium as gym
 
@@ -52,7 +50,7 @@ class Entrant:
         """What its environments have to have configured."""
         return {"observation": self.observation} if self.observation else {}
 
-    def resolved(self, env: Env) -> Entrant:
+    def resolved(self, env: Env) -> Self:
         """With its digest in this environment. Raises UserError where it cannot be made or does not fit."""
         return replace(self, digest=self._made(env)[2])
 
@@ -155,7 +153,7 @@ def _agent(name: str, key: dict[str, Any], weights: Path, env: Env) -> Made:
     return *driver(key, None, env, weights), digest
 
 
-def _weights(name: str, policy: Greedy) -> str:
+def _weights(name: str, policy: "Greedy") -> str:
     """The SHA-256 of a network's weights."""
     found = hashlib.sha256(name.encode())
     for part, value in policy.network.state_dict().items():

@@ -1,7 +1,5 @@
 """The test of a policy: the same regular and risky scenarios for every arm, training seed and policy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product

@@ -4,8 +4,6 @@ What is found can be driven, so that its return is a lower bound of the best one
 that there is one. That none is found does not show that there is none: the search keeps some states alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -42,7 +40,7 @@ class Found(NamedTuple):
         return max(filter(None, self), key=lambda driven: driven.value)
 
 
-def batch_of_one(task: str, config: Mapping[str, Any]) -> ReplicaVectorEnv:
+def batch_of_one(task: str, config: Mapping[str, Any]) -> "ReplicaVectorEnv":
     """An environment of the replica that can be copied; config: as of `make_env`."""
     from sumo_env.replica.vector import AutoresetMode, ReplicaVectorEnv  # here: not every command needs numba
 
@@ -50,7 +48,7 @@ def batch_of_one(task: str, config: Mapping[str, Any]) -> ReplicaVectorEnv:
     return ReplicaVectorEnv(env, 1, AutoresetMode.DISABLED, 1)
 
 
-def search(envs: ReplicaVectorEnv, seed: int, risk: float, width: int = WIDTH) -> Found:
+def search(envs: "ReplicaVectorEnv", seed: int, risk: float, width: int = WIDTH) -> Found:
     """The best sequences of actions of the episode with this seed and dose of risk.
 
     After each policy step of all actions from all states, `width` states are kept, of different cells (place, speed,
@@ -84,7 +82,7 @@ def search(envs: ReplicaVectorEnv, seed: int, risk: float, width: int = WIDTH) -
 def _chosen(
     rows: NDArray[np.int64],
     values: NDArray[np.float64],
-    envs: ReplicaVectorEnv,
+    envs: "ReplicaVectorEnv",
     width: int,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:

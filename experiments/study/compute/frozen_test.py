@@ -1,7 +1,5 @@
 """The test of `sumo_env.benchmark` driven, in parallel processes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from typing import Any

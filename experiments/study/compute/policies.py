@@ -1,7 +1,5 @@
 """The policy of a cell: a rule, a trained network, or one that the user brought."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """How long cells will take, and what a person sees of a sweep: a line of how much is done."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 import time

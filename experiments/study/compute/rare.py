@@ -1,7 +1,5 @@
 """Episodes in which risk events come more often than at the rates that are asked about, in batches."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass

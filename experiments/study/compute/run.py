@@ -6,8 +6,6 @@ A task is plain data (`Task`); nothing here knows what it computes, nor more of 
 whose result is there is skipped: the same tasks run again go on where the last run ended.
 """
 
-from __future__ import annotations
-
 import errno
 import faulthandler
 import json

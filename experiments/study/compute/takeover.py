@@ -5,8 +5,6 @@ speed and lane stay as the leader left them. The moment is critical where that c
 the driver has to act. From the leader's first critical moment every driver goes on in a copy of its own.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Training of one cell: its learner in the cell's traffic, by the rules of the training."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from functools import partial

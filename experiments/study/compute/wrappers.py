@@ -1,7 +1,5 @@
 """What a training, or unseen traffic, changes about an environment, by gymnasium's wrappers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

@@ -7,8 +7,6 @@ task, the level and its number alone, so all arms, training seeds, policies and 
 ones. Regular and risky tests share their seeds: the same cars stand in the same places, with other drivers.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Score 0 is the return of the best constant action, score 1 that of the best driv
 actions than the agents have; both on scenarios that no report uses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from math import nan

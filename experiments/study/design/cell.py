@@ -5,14 +5,12 @@ behaviour included, and of the versions that can change a result. Results of oth
 adding tasks, levels or seeds never renames a cell that is there already.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from experiments.backends import SIMULATORS
 from experiments.study.design.arms import ARMS, gate_traffics
@@ -98,7 +96,7 @@ class Cell:
         return (self.backend, task_of(self.task)), (self.runs_on, task_of(self.task))
 
     @property
-    def parent(self) -> Cell:
+    def parent(self) -> Self:
         """The cell that has trained the agent of a further test."""
         return replace(self, kind="agent", test_on=None)
 
@@ -128,7 +126,7 @@ class Cell:
 
 
 @in_words()
-def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any]:
+def learner_of(key: Mapping[str, Any], source: str | None) -> "tuple[Learner, Any]":
     """The learner of an agent's cell, and its settings.
 
     Args:

@@ -1,7 +1,5 @@
 """What an experiment consists of, and the cells that it asks for."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing

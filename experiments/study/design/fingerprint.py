@@ -10,8 +10,6 @@ compares them before it begins. After a change that is meant,
 gives what has changed a name of its own.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing

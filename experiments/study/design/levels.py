@@ -3,8 +3,6 @@
 A task here may be a variant of one (`sheet.VARIANTS`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """Named sizes of the experiment. A command line changes what a preset sets; the cells say what was used."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any, TypeVar

@@ -5,8 +5,6 @@ sheet is an error that names the file. `GRID` is the paper's 18 settings. `VARIA
 configuration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple

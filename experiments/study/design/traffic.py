@@ -4,8 +4,6 @@ Unseen traffic is traffic that no agent was trained in: it tells an agent that i
 of its training. It is the traffic at dose 1 with something taken away or exchanged, on the same scenarios.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,11 +1,9 @@
 """The rules of a training that are the environment's and not the learner's, the same in all arms."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Self
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class TrainingRules:
             raise ValueError(f"the reward of a crash has to be a finite number, not {self.crash_reward}")
 
     @classmethod
-    def of(cls, profile: Mapping[str, Any]) -> TrainingRules:
+    def of(cls, profile: Mapping[str, Any]) -> Self:
         """Those in the profile of a cell."""
         return cls(**{name: profile[name] for name in RULES if name in profile})
 

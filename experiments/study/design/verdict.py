@@ -1,7 +1,5 @@
 """How close SUMO is to highway-env, task by task, as `experiments/validate.py --update` has stored it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any

@@ -9,8 +9,6 @@ An upper bound of what a driver could have done: the search knows the future. An
 ego decides at policy steps alone, and after the horizon it only repeats.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterator

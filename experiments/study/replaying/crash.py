@@ -1,7 +1,5 @@
 """The worst crash of a driver in each task of the frozen test, filmed beside another driver in the same scenario."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from typing import Any, NamedTuple

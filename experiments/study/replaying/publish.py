@@ -6,8 +6,6 @@ Of each arm and setting the agent with the lowest training seed, as ARM; in the 
 the others as ARM-sSEED. Agents of other settings that are in the file stay. Agents that observe the dose are left out.
 """
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """A stored test episode again: the same policy on the same scenario, and whether the same numbers come out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The film of one critical moment: what led there, and how each of two drivers goes on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from contextlib import closing

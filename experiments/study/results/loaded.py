@@ -3,8 +3,6 @@
 Whoever compares, judges or counts cells asks the table (`Results.table`), so that there is one answer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

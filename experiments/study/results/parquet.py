@@ -8,8 +8,6 @@ A file of cells has the test episodes of one or of several as rows of `schema.SC
 each cell by name.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -4,8 +4,6 @@
 can be read.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Mapping
 from itertools import chain

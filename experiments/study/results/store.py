@@ -10,8 +10,6 @@ DIR/sweep.json             what sweeps have asked for
 `Store` has one cell after the other, `loaded.load` all.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -5,8 +5,6 @@ progress.json  the share that is done
 log.txt        what went wrong, with the stack of every thread after a crash or a hang
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

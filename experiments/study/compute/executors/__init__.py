@@ -1,7 +1,5 @@
 """Where tasks are computed: processes of this machine, a Ray cluster, or Slurm, all behind one standard interface."""
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import Executor
 from pathlib import Path

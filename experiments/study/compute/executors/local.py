@@ -3,8 +3,6 @@
 Workers end when the process that started them ends.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """A Ray cluster: that of RAY_ADDRESS, else one of this machine that ends with the sweep."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

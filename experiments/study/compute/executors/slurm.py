@@ -4,8 +4,6 @@ What a site asks for is set with sbatch's own variables (SBATCH_PARTITION, SBATC
 SBATCH_MEM_PER_NODE), which take precedence over what is set here.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -38,7 +38,7 @@ from agents.rules import POLICIES
 from experiments.reporting.card import ALL, card_figure, part, rows, texts
 from experiments.reporting.page import render
 from experiments.study.compute.entrants import Entrant, Place, entrants
-from experiments.study.compute.frozen_test import levels_of, resolved, scenarios_of, take
+from experiments.study.compute.frozen_test import resolved, scenarios_of, take
 from experiments.study.design.fingerprint import check_dynamics, dynamics
 from experiments.study.design.levels import StudyTasks, tasks_known
 from experiments.study.design.sheet import task_of
@@ -48,7 +48,7 @@ from experiments.support.errors import UserError, check_known, check_least, writ
 from experiments.support.files import read_json, sha256_bytes, write_file, write_json, write_lines
 from experiments.support.films import save_gif
 from experiments.support.provenance import provenance
-from sumo_env.benchmark import SETTINGS, SIZE, BenchmarkScenario, stored
+from sumo_env.benchmark import SETTINGS, SIZE, BenchmarkScenario, levels_of, stored
 
 ENTRIES = Path(__file__).resolve().parents[1] / "results" / "entries.json"
 CARD, PAGE = "card.json", "card.html"
@@ -86,7 +86,7 @@ def drivers(options: Options) -> dict[Place, Entrant]:
     """
     check_known("task", options.tasks, tasks_known())
     check_least(options, workers=1)
-    places = [(task, level) for task in options.tasks or tasks_known() for level in levels_of(task)]
+    places = [(task, level) for task in options.tasks or tasks_known() for level in levels_of(task_of(task))]
     who = entrants(options.policy, places, options.agent)
     if not options.tasks:
         who = {at: one for at, one in who.items() if one.place or at[0] in SETTINGS}
@@ -158,7 +158,7 @@ def whole(driven: Mapping[str, tuple[pd.DataFrame, str]]) -> pd.DataFrame:
     """All episodes of the tasks and traffics of which every level was driven: a mean is over all of them."""
     episodes = pd.concat(frame for frame, _ in driven.values())
     levels = episodes.groupby(["task", "traffic"])["level"].transform("nunique")
-    return episodes[levels == episodes["task"].map(lambda task: len(levels_of(task)))]
+    return episodes[levels == episodes["task"].map(lambda task: len(levels_of(task_of(task))))]
 
 
 def identity(task: str) -> str:

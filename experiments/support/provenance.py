@@ -26,7 +26,6 @@ def provenance() -> dict[str, Any]:
     }
 
 
-@cache
 def cpu() -> str:
     """Name of the processor, with its family and model, since one name may be that of several kinds."""
     with suppress(OSError, KeyError):  # not Linux, or not x86

@@ -236,26 +236,22 @@ class Part(Batch):
 
 
 def plan(
-    engines: Iterable[Engine],
-    levels: Mapping[str, Sequence[int]],
-    traffics: Sequence[str],
-    scenarios: range,
-    size: int = SIZE,
+    engines: Iterable[Engine], levels: Mapping[str, Sequence[int]], traffics: Sequence[str], scenarios: range
 ) -> list[Part]:
-    """Everything that the engines have to drive, `size` scenarios in a part.
+    """Everything that the engines have to drive, SIZE scenarios in a part.
 
     On roads without joins, engines that differ only in how far drivers see beyond a join are not driven, nor published
     agents in settings that have none.
     """
     parts = [
-        Part(Path(), engine, task, level, traffic, scenarios[first : first + size])
+        Part(Path(), engine, task, level, traffic, scenarios[first : first + SIZE])
         for engine in engines
         for task, numbers in levels.items()
         if TASKS[task].road(TASKS[task].defaults).joined
         or engine.config.get("variant") not in ("v0", "connected")
         for level in numbers
         for traffic in traffics
-        for first in range(0, len(scenarios), size)
+        for first in range(0, len(scenarios), SIZE)
     ]
     return [part for part in parts if part.engine.egos != AGENTS or agents(part.task, part.level)]
 

@@ -17,7 +17,6 @@ from experiments.study.design.levels import level_config
 from experiments.study.design.sheet import task_of
 from experiments.study.results.schema import COLUMNS
 from experiments.support.errors import UserError, in_a_line
-from sumo_env import benchmark
 from sumo_env.benchmark import BenchmarkScenario, benchmark_scenarios, digest
 
 
@@ -25,11 +24,6 @@ def scenarios_of(task: str, quick: bool) -> list[BenchmarkScenario]:
     """The scenarios of a task, or of a variant: those of its task, under its configuration."""
     found = benchmark_scenarios([task_of(task)], quick)
     return [one._replace(task=task, config=level_config(task, one.level)) for one in found]
-
-
-def levels_of(task: str) -> tuple[str, ...]:
-    """Levels of a task, or of a variant, in the test."""
-    return benchmark.levels_of(task_of(task))
 
 
 def drive(entrant: Entrant, scenarios: Sequence[BenchmarkScenario]) -> tuple[pd.DataFrame, str]:

@@ -48,9 +48,10 @@ def test_a_random_part_is_the_same_however_it_is_divided() -> None:
     assert 0.02 < len(whole) / (200 * len(egos("u-turn"))) < 0.08
 
 
-def test_plan_leaves_out_what_cannot_differ() -> None:
+def test_plan_leaves_out_what_cannot_differ(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(episodes, "SIZE", 10)
     engines = [Engine(name, "replica", {"variant": name}) for name in ("path", "v0")]
-    planned = plan(engines, {"highway": [1], "u-turn": [1, 2]}, ["regular", "risky"], range(25), 10)
+    planned = plan(engines, {"highway": [1], "u-turn": [1, 2]}, ["regular", "risky"], range(25))
     driven = {(p.engine.name, p.task) for p in planned}
     assert driven == {("path", "highway"), ("path", "u-turn"), ("v0", "u-turn")}
     assert sorted({p.scenarios for p in planned}, key=min) == [range(10), range(10, 20), range(20, 25)]
@@ -112,8 +113,11 @@ def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_there_is_not_driven_again(tmp_path: Path, here: None) -> None:
-    planned = plan([Engine("sumo", "sumo", egos=("idle",))], {"u-turn": [1]}, ["regular"], range(4), 2)
+def test_what_is_there_is_not_driven_again(
+    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(episodes, "SIZE", 2)
+    planned = plan([Engine("sumo", "sumo", egos=("idle",))], {"u-turn": [1]}, ["regular"], range(4))
     run(planned[:1], tmp_path, 1)
     file = replace(planned[0], directory=tmp_path).path
     written = file.stat().st_mtime_ns

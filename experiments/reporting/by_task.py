@@ -10,17 +10,7 @@ from experiments.analysis.analysis import Analysis
 from experiments.analysis.by_task import COLUMNS
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.scores import in_order
-from experiments.reporting.tables import (
-    BACKENDS,
-    MINUS,
-    NONE,
-    chosen,
-    effect,
-    points,
-    titled,
-    wide,
-    with_setting,
-)
+from experiments.reporting.tables import BACKENDS, MINUS, NONE, chosen, effect, points, titled, wide
 from experiments.study.design.levels import tasks_known
 from experiments.study.design.traffic import TRAFFICS
 
@@ -173,9 +163,9 @@ def hopeless(analysis: Analysis, backend: str) -> dict[str, float]:
     Returns:
         The smallest share, by setting.
     """
-    rows = with_setting(chosen(analysis.policies, backend=backend, arm="", traffic="regular"))
-    smallest = rows.groupby("setting", sort=False)["crashed"].min()
-    return {str(name): float(share) for name, share in smallest[smallest >= HOPELESS].items()}
+    rows = chosen(analysis.policies, backend=backend, arm="", traffic="regular")
+    smallest = rows.groupby(["task", "level_name"], sort=False)["crashed"].min()
+    return {f"{task} {name}": share for (task, name), share in smallest[smallest >= HOPELESS].items()}
 
 
 def failing(gates: pd.DataFrame, least: float = 2 / 3) -> dict[str, Any]:
@@ -187,15 +177,13 @@ def failing(gates: pd.DataFrame, least: float = 2 / 3) -> dict[str, Any]:
     Returns:
         passed and of (all agents), named (by setting the two numbers), rest (of all other settings).
     """
-    rows = with_setting(gates)
-    numbers = (
-        rows.assign(ok=rows["passed"].eq(True)).groupby("setting", sort=False)["ok"].agg(["sum", "size"])
-    )
+    settings = gates.assign(ok=gates["passed"].eq(True)).groupby(["task", "level_name"], sort=False)
+    numbers = settings["ok"].agg(["sum", "size"]).astype(int)
     few = numbers["sum"] < least * numbers["size"]
     rest = numbers[~few].sum()
     return {
         "passed": int(numbers["sum"].sum()),
-        "of": len(rows),
-        "named": {str(name): (int(row["sum"]), int(row["size"])) for name, row in numbers[few].iterrows()},
+        "of": len(gates),
+        "named": {f"{task} {name}": tuple(row.tolist()) for (task, name), row in numbers[few].iterrows()},
         "rest": (int(rest["sum"]), int(rest["size"])),
     }

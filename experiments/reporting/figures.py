@@ -18,7 +18,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 from scipy import stats
 
 from experiments.analysis.drivers import hazards
@@ -98,15 +98,10 @@ def alone(svg: str) -> str:
     return svg.replace(">", f"><style>{style}</style>", 1) + "\n"
 
 
-def share(value: float, _: object) -> str:
-    """A share as axes show it."""
-    return f"{100 * value:.0f} %"
-
-
 def share_axis(axes: Axes) -> None:
     """A crash rate on the vertical axis."""
     axes.set_ylim(-0.04, 1.04)
-    axes.yaxis.set_major_formatter(share)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, 0, " %"))
 
 
 def mark_of(policy: str) -> dict[str, Any]:

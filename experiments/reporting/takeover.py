@@ -5,23 +5,12 @@ from itertools import product
 from pathlib import Path
 
 import pandas as pd
+from matplotlib.ticker import PercentFormatter
 
 from experiments.analysis.scores import in_order
 from experiments.analysis.takeover import ADJECTIVES, CAUTION, SKILL, claims, each, of_tasks, overall
 from experiments.reporting.arrows import TREATED, arrows
-from experiments.reporting.figures import (
-    CONTROL,
-    INK,
-    MUTED,
-    PAPER,
-    TREATMENT,
-    larger,
-    legend,
-    new_figure,
-    share,
-    styled,
-    to_svg,
-)
+from experiments.reporting.figures import COLOURS, INK, PAPER, larger, legend, new_figure, styled, to_svg
 from experiments.reporting.tables import MINUS, chosen, p_value, plain
 from experiments.study.compute.takeover import BOUNDS, COLUMNS, PAIR, WINDOW
 from experiments.study.design.arms import ARMS
@@ -32,7 +21,6 @@ from experiments.study.results.parquet import read_part
 RECORDS = "takeover/*/moments.parquet"  # of experiments/takeover.py, in a study's folder
 ARM_OF = dict(zip(PAIR, ARMS, strict=True))
 SIDES = dict(zip(TREATED, ("more", "less"), strict=True))  # of dangers and crashes, by who has fewer
-COLOURS = dict(zip(PAIR, (CONTROL, TREATMENT), strict=True))
 SHOWN = [CAUTION, SKILL, *(f"{SKILL}, {leader} leads" for leader in PAIR)]
 
 
@@ -64,7 +52,7 @@ def danger_figure(rows: pd.DataFrame) -> str:
     figure, panels = arrows(drivers, 4.3, "danger", 1.1)
     for panel in panels:
         panel.set_xticks([0, 0.5, 1])
-        panel.xaxis.set_major_formatter(share)
+        panel.xaxis.set_major_formatter(PercentFormatter(1.0, 0, " %"))
     panels[0].set_ylabel("critical moments that end in a crash")
     figure.supxlabel("episodes in danger", fontsize=11)
     words = (
@@ -167,14 +155,15 @@ def takeover_figure(answers: pd.DataFrame, rates: pd.DataFrame, names: Mapping[s
         left.set_title(f"{traffic} traffic")
         for row in rates[rates["traffic"] == traffic].itertuples() if len(rates) else ():
             y = -drivers.index(row.driver) + (0.12 if row.leader == PAIR[0] else -0.12)
-            right.plot([100 * row.low, 100 * row.high], [y, y], color=COLOURS[row.leader], lw=1.2)
-            right.plot(100 * row.crashed, y, "o", color=COLOURS[row.leader])
+            colour = COLOURS[ARM_OF[row.leader]]
+            right.plot([100 * row.low, 100 * row.high], [y, y], color=colour, lw=1.2)
+            right.plot(100 * row.crashed, y, "o", color=colour)
         right.set_yticks([-y for y in range(len(drivers))], [names.get(name, name) for name in drivers])
         for panel in (left, right):
             panel.grid(axis="y", visible=False)
     axes[-1][0].set_xlabel(f"{names['b']} {MINUS} {names['a']} [points]")
     axes[-1][1].set_xlabel("crashes from the moments [%]")
-    looks = {f"moments of {names[one]}": {"color": COLOURS[one], "marker": "o"} for one in PAIR}
-    looks["nothing claimed"] = {"color": MUTED, "mec": INK, "mfc": PAPER, "marker": "o", "ls": ""}
+    looks = {f"moments of {names[one]}": {"color": COLOURS[ARM_OF[one]], "marker": "o"} for one in PAIR}
+    looks["nothing claimed"] = {"mec": INK, "mfc": PAPER, "marker": "o", "ls": ""}
     legend(figure, looks, loc="outside upper right", ncols=3, title=title)
     return to_svg(figure, "takeover", f"Who gets into danger, and who gets out of it: {title}")

@@ -152,18 +152,14 @@ def _panels(frame: pd.DataFrame) -> tuple[Figure, list[tuple[pd.DataFrame, Axes]
     return figure, panels
 
 
-def _shown(policies: pd.DataFrame) -> list[str]:
-    """The policies without training, in the order in which they are drawn."""
-    return [name for name in ("careful", *MARKS) if (policies["policy"] == name).any()]
-
-
 @styled
 def against_traffic(policies: pd.DataFrame, backend: str) -> str:
     """Crash rate against the traffic level: a column for each task, a row for each traffic of the test.
 
     policies: `analysis.policies` of one backend.
     """
-    arms, shown = _arms(policies), _shown(policies)
+    arms, there = _arms(policies), set(policies["policy"])
+    shown = [name for name in ("careful", *MARKS) if name in there]  # in the order in which they are drawn
     bars: dict[str, Any] = {"marker": "o", "ms": 4, "capsize": 2, "lw": 1.5, "elinewidth": 1.0}
     figure, panels = _panels(policies.sort_values("level"))
     for tested, panel in panels:

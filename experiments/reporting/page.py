@@ -44,15 +44,10 @@ def page(
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
     pairs = skill(results.directory)
+    moments = pairs.get("table", pd.DataFrame())
     return {
         "smoke": "smoke" in analysis.provenance["presets"],
-        "backends": [
-            {
-                **backend(name, results, analysis, pairs.get("table", pd.DataFrame())),
-                "own": tables.own(analysis, name, own or {}),
-            }
-            for name in names
-        ],
+        "backends": [backend(name, results, analysis, moments, own or {}) for name in names],
         "films": films(results.directory),
         "skill": pairs,
         "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
@@ -98,8 +93,10 @@ def computed(results: Results) -> dict[str, Any]:
     }
 
 
-def backend(name: str, results: Results, analysis: Analysis, moments: pd.DataFrame) -> dict[str, Any]:
-    """All that is shown of one simulator. moments: of `takeover.skill_or_caution`."""
+def backend(
+    name: str, results: Results, analysis: Analysis, moments: pd.DataFrame, own: Mapping[str, Outcome]
+) -> dict[str, Any]:
+    """All that is shown of one simulator. moments: of `takeover.skill_or_caution`. own: outcomes of the user's own."""
     return {
         "name": BACKENDS.get(name, name),
         "key": name,
@@ -113,6 +110,7 @@ def backend(name: str, results: Results, analysis: Analysis, moments: pd.DataFra
         "means": by_task.means_of_tasks(analysis, name),
         "competent": by_task.levels(replace(analysis, by_task=analysis.competent), name),
         **{part: make(analysis, name) for part, make in tables.TABLES.items()},
+        "own": tables.own(analysis, name, own),
         "placebo": chosen(analysis.placebo, backend=name).to_dict("records"),
     }
 

@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import gymnasium as gym
 
@@ -19,9 +19,6 @@ from experiments.study.compute.policies import driver
 from experiments.study.results.store import Store
 from experiments.support.errors import UserError, in_words, unknown
 from experiments.support.files import sha256_bytes
-
-if TYPE_CHECKING:
-    from agents.greedy import Greedy
 
 RULES = tuple(dict.fromkeys((*POLICIES, *MAKERS)))
 Env = gym.Env[Any, Any]
@@ -144,21 +141,16 @@ def _foreign(name: str, env: Env) -> Made:
 def _loaded(name: str, env: Env) -> Made:
     setting, _, arm = name.partition("/")
     policy = pretrained.load(setting, arm)
-    return env, policy, _weights(name, policy)
+    digest = hashlib.sha256(name.encode())
+    for part, value in policy.network.state_dict().items():
+        digest.update(f" {part} {tuple(value.shape)} ".encode() + value.numpy().tobytes())
+    return env, policy, digest.hexdigest()
 
 
 def _agent(name: str, key: dict[str, Any], weights: Path, env: Env) -> Made:
     """A stored agent. Its cell's name has the digest of all that decides how it acts, but for the weights."""
     digest = sha256_bytes(f"{name} {sha256(weights)}".encode())
     return *driver(key, None, env, weights), digest
-
-
-def _weights(name: str, policy: "Greedy") -> str:
-    """The SHA-256 of a network's weights."""
-    found = hashlib.sha256(name.encode())
-    for part, value in policy.network.state_dict().items():
-        found.update(f" {part} {tuple(value.shape)} ".encode() + value.numpy().tobytes())
-    return found.hexdigest()
 
 
 def _stored(directory: Path, part: str) -> list[Entrant]:

@@ -10,8 +10,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+from agents.learner import Learner, settings_of
 from experiments.backends import SIMULATORS
 from experiments.study.design.arms import ARMS, gate_traffics
 from experiments.study.design.sheet import task_of
@@ -19,9 +20,6 @@ from experiments.study.design.traffic import BETWEEN, TRAFFICS
 from experiments.study.design.training_rules import TrainingRules
 from experiments.support.errors import UserError, in_words
 from experiments.support.files import digest_of
-
-if TYPE_CHECKING:
-    from agents.learner import Learner
 
 RESULT_SCHEMA = 5  # raise it with every change that makes stored results mean, or be, something else
 LEARNER = "dqn"  # of the published studies
@@ -126,7 +124,7 @@ class Cell:
 
 
 @in_words()
-def learner_of(key: Mapping[str, Any], source: str | None) -> "tuple[Learner, Any]":
+def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any]:
     """The learner of an agent's cell, and its settings.
 
     Args:
@@ -136,8 +134,7 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> "tuple[Learner, An
     Raises:
         UserError: the user's file is not named, not there or does not fit.
     """
-    from agents.learner import settings_of  # here: not every command needs a learner
-    from agents.learners import learner
+    from agents.learners import learner  # here: not every command needs a learner
 
     def here(name: str) -> str:
         """The name, or the file that the user has named in the place of a label such as mine.py:Mine."""

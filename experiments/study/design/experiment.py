@@ -8,6 +8,7 @@ from typing import Annotated, Any, TypeVar
 
 import tyro
 
+from agents.learner import settings_of
 from agents.plugins import foreign
 from agents.policies import foreign_policy
 from agents.rules import CAUTIONS, DRIVERS, POLICIES
@@ -249,7 +250,6 @@ class Experiment:
         Raises ValueError for a name that there is not, or a value that makes no sense.
         """
         from agents.dqn import DQNConfig  # here: not every command needs the learner
-        from agents.learner import settings_of
         from agents.learners import learner
         from agents.models import network_class
 

@@ -20,8 +20,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from agents.learner import settings_of
 from experiments.backends import BACKENDS, has, make_env, require
 from experiments.study.design.arms import scenario_seed
+from experiments.study.design.cell import LEARNER
 from experiments.support.errors import UserError, check_known, run_command
 from experiments.support.files import digest_of, read_json, write_json
 from sumo_env.tasks import TASKS
@@ -177,9 +179,7 @@ def kind_of(policy: str, profile: Mapping[str, Any]) -> str:
 
 def learnt(settings: Mapping[str, Any]) -> Behaviour:
     """The Q-values of our learner with such settings on some observations, after UPDATES updates."""
-    from agents.learner import settings_of  # here: not every command needs the learner
-    from agents.learners import learner
-    from experiments.study.design.cell import LEARNER
+    from agents.learners import learner  # here: not every command needs the learner
 
     found = learner(LEARNER)
     few: dict[str, float] = {"updates": UPDATES, "steps_per_update": 2, "warm_up": 100, "batch_size": 32}

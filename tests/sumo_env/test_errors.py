@@ -95,6 +95,7 @@ CONFIGS: list[tuple[str, Any, str]] = [
     ("sumo/highway", {"screen_width": 600.5}, "whole number from 1 to 10000, not 600.5"),
     ("sumo/highway", sees(TABLE, features_range={"speed": [0, 1]}), "'speed'"),
     ("sumo/highway", sees({"type": "KinematicsGoal"}), "not here"),
+    ("sumo/highway", sees({"type": "ExitObservation"}), "the road 'highway' has none"),
     ("sumo/highway", sees(LIDAR, cells=0), "'cells'"),
     ("sumo/u-turn", sees(GRID, features=["speed"]), "'speed'"),
     ("sumo/u-turn", sees(GRID, absolute=True), "'absolute'"),

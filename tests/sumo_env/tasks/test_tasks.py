@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 
 from experiments.backends.highway_env import ScenarioEnv
-from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
-from sumo_env.tasks import TASKS
 from sumo_env.traffic.risk import RiskEvent
 from tests.sumo_env import situations
 from tests.sumo_env.parity import ego_state, make, scatter
@@ -33,9 +31,6 @@ WEIGHTS: dict[str, dict[str, Any]] = {
 }
 
 
-LADDER = {"action": {"type": "DiscreteMetaAction", "target_speeds": [5, 10, 15, 20, 25]}}
-
-
 def assert_same_judgement(env: ScenarioEnv, action: int) -> dict[str, bool]:
     """Of the present state, as at the end of a step; returns what highway-env says of it."""
     env.steps, env.scene = 1, env._scene()  # at a reset there is no action
@@ -49,16 +44,17 @@ def assert_same_judgement(env: ScenarioEnv, action: int) -> dict[str, bool]:
     return {name: info[name] for name in ("on_road", "crashed", "arrived")}
 
 
-@pytest.mark.parametrize("normalize", [True, False])
 @pytest.mark.parametrize("changed", ["nothing", "weights", "ladder"])
 @highway_env_task
-def test_equal_in_random_states(task: str, changed: str, normalize: bool) -> None:
-    chosen = {"nothing": {}, "weights": dict(WEIGHTS[task]), "ladder": dict(LADDER)}[changed]
-    if "normalize_reward" in TASKS[task].defaults:
-        chosen["normalize_reward"] = normalize
-    elif not normalize:
-        pytest.skip("there is no such key")
-    env = make(task, **chosen)
+def test_equal_in_random_states(task: str, changed: str) -> None:
+    weights = WEIGHTS[task]
+    ladder = {"type": "DiscreteMetaAction", "target_speeds": [5, 10, 15, 20, 25]}
+    chosen = {
+        "nothing": {},
+        "weights": {**weights, "normalize_reward": True},
+        "ladder": {**weights, "normalize_reward": False, "action": ladder},
+    }
+    env = make(task, **chosen[changed])
     env.reset(seed=1)
     env.road.vehicles = [env.vehicle]
     rng = np.random.default_rng(3)
@@ -190,16 +186,6 @@ def test_the_others_drive_at_the_limits_of_their_lanes_past_the_exit() -> None:
             number = round(scene.y.item(row) / 4.0)
             assert scene.y[row] == pytest.approx(4.0 * number, abs=0.01)
             assert scene.speed[row] <= limits[number] + 1e-6
-
-
-def test_the_ego_s_own_way_is_counted_from_where_the_lane_to_the_exit_begins() -> None:
-    given = {"type": "ExitObservation", "normalize": False, "vehicles_count": 3}
-    with closing(DrivingEnv("exit", {"observation": given})) as env:
-        observation, _ = env.reset(seed=2)
-        x, nearest = env.scene.x[0], np.sort(env.scene.x[1:])[:2]
-        assert observation[:, 1] == pytest.approx([x - 400.0, *(nearest - x)], abs=1e-3)
-    with pytest.raises(ConfigError, match="exit"):
-        DrivingEnv("highway", {"observation": given})
 
 
 def test_lanes_abreast_are_those_of_the_road_that_the_ego_steers_for() -> None:

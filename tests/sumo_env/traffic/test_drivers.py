@@ -42,7 +42,6 @@ from sumo_env.traffic.risk import (
     has_room,
 )
 from sumo_env.traffic.scenario import fits
-from tests.sumo_env import situations
 from tests.sumo_env.situations import draw, drivers
 from tests.tasks import every_task
 
@@ -145,6 +144,7 @@ def test_a_scenario_is_a_value_that_its_seed_decides(task: str) -> None:
 def test_events_of_vehicles_that_come_later_wait_for_them(frequency: int) -> None:
     scenario = draw("intersection", 1, risk=1.0, spawn_probability=1.0, policy_frequency=frequency)
     start = {spawn.vehicle.id: spawn.step / frequency for spawn in scenario.spawns}
+    assert dict(scenario.lifetimes) == {spec.id: 0.0 for spec in scenario.vehicles} | start
     later = [event for event in scenario.events if event.vehicle in start]
     assert later and all(start[event.vehicle] <= event.time < 13.0 for event in later)
 
@@ -264,14 +264,6 @@ def test_events_carry_what_the_rates_say() -> None:
     assert {(e.accel, e.duration, e.way) for e in events if e.kind == "surge"} == {(3.0, 2.5, 20.0)}
     directions = [e.direction for e in events if e.kind == "cut-in"]
     assert set(directions) == {-1, 1} and abs(sum(directions)) < 5 * math.sqrt(len(directions))
-
-
-def test_who_comes_later_may_have_events_from_then_on() -> None:
-    scenario = situations.draw("intersection", policy_frequency=5)
-    comes = dict(scenario.lifetimes)
-    assert len(comes) == len(scenario.vehicles) + len(scenario.spawns) > len(scenario.vehicles)
-    assert {spawn.vehicle.id: spawn.step / 5 for spawn in scenario.spawns}.items() <= comes.items()
-    assert all(comes[spec.id] == 0.0 for spec in scenario.vehicles)
 
 
 def test_there_is_room_where_nobody_is_within_the_gap() -> None:

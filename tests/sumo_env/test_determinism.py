@@ -6,20 +6,26 @@ import json
 import os
 import threading
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
+from sumo_env.replica.env import ReplicaEnv
 from sumo_env.tasks import TASKS
 from tests.processes import children, descriptors, python
 from tests.sumo_env.rollout import digest, record, rollout
 from tests.tasks import every_task
 
 CROWDED = {name: list(task.levels.values())[:2][-1] for name, task in TASKS.items()}
+SHUFFLED = {"observation": {"type": "Kinematics", "order": "shuffled", "vehicles_count": 3}}
 CASES = [(task, 5, {**CROWDED[task], "risk": risk}) for task in TASKS for risk in (0.0, 1.0)]
+CASES.append(("u-turn", 5, SHUFFLED))
 
 
 def test_in_another_process_and_another_order() -> None:
@@ -42,26 +48,21 @@ def test_dose_zero_is_regular_traffic(task: str) -> None:
 
 @every_task
 def test_agents_meet_the_same_scenarios(task: str) -> None:
-    """What chance decides depends on the seed alone, not on the agent or on what it is shown."""
+    """What chance decides depends on the seed alone, not on the agent, on what it is shown, or on the simulator."""
+    simulators: list[Any] = [DrivingEnv, partial(ReplicaEnv, scenarios="seeded")]
+    configs: list[dict[str, Any]] = [{}, SHUFFLED, {"simulation_frequency": 15, "scaling": 5.0}]
     scenarios = []
-    for config in (
-        {},
-        {"observation": {"type": "Kinematics", "order": "shuffled", "vehicles_count": 3}},
-        {"simulation_frequency": 15, "scaling": 5.0},
-    ):
-        env = DrivingEnv(task, {"risk": 1.0, **config})
+    for make, config in product(simulators, configs):
+        env = make(task, {"risk": 1.0, **config})
         env.reset(seed=8)
         drawn = [env.scenario]
         for _ in range(3):
             env.step(len(config))  # agents act differently
             env.reset()
             drawn.append(env.scenario)
-        scenarios.append(drawn)
-    # how often a second is computed is the one thing that differs, and no matter of chance
-    frequency = scenarios[0][0].simulation_frequency
-    scenarios[2] = [replace(scenario, simulation_frequency=frequency) for scenario in scenarios[2]]
-    assert scenarios[0][0] == scenarios[1][0] == scenarios[2][0]
-    assert scenarios[0] == scenarios[2]
+        # how often a second is computed is the one thing that differs, and no matter of chance
+        scenarios.append([replace(scenario, simulation_frequency=10) for scenario in drawn])
+    assert all(drawn == scenarios[0] for drawn in scenarios)
     assert len(set(scenarios[0])) == 4  # without a seed, episodes differ
 
 

@@ -114,21 +114,6 @@ def test_a_step_after_the_end_warns_and_pays_nothing(id: str) -> None:
     assert env.step(1)[1] > 0.0
 
 
-@pytest.mark.parametrize("keywords", [{}, {"scenarios": "seeded"}])
-def test_shuffled_rows_do_not_change_the_next_episode(keywords: dict[str, Any]) -> None:
-    kind = {"type": "Kinematics", "order": "shuffled", "vehicles_count": 4}
-    id = "replica/u-turn-v0" if keywords else "sumo/u-turn-v0"
-    env: Any = gym.make(id, config={"observation": kind}, **keywords).unwrapped
-    rows, seeds = set(), set()
-    for steps in (0, 1, 3):
-        env.reset(seed=1)
-        for _ in range(steps):
-            rows.add(env.step(1)[0].tobytes())
-        env.reset()
-        seeds.add(env.scenario.seed)
-    assert len(seeds) == 1 and len(rows) == 3  # the same seed shuffles alike
-
-
 def test_a_frequency_that_nobody_asked_for_goes_back(highway: gym.Env[Any, Any]) -> None:
     env: Any = highway.unwrapped
     seen = []

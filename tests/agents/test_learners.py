@@ -18,20 +18,28 @@ from agents.dqn import DQNConfig
 from agents.learners import LEARNERS
 from agents.sb3 import Attention
 from agents.streams import episode_seed
+from tests.agents import networks
 from tests.experiments.fake_env import FakeEnv
 
-# Settings of a short training, and those that differ in an agent whose weights another one cannot take, if any.
+SHORT: dict[str, Any] = {"updates": 60, "steps_per_update": 2, "warm_up": 80, "batch_size": 8}
+# The learner and more words: settings of a short training, and those that differ in an agent whose weights another one
+# cannot take, if any.
 SMALL: dict[str, tuple[Any, dict[str, Any]]] = {
-    "dqn": (
-        DQNConfig("dueling", updates=60, steps_per_update=2, warm_up=80, batch_size=8),
-        {"network": "attention"},
-    ),
+    "dqn": (DQNConfig("dueling", **SHORT), {"network": "attention"}),
+    "dqn by hand": (DQNConfig(**SHORT, replay_capacity=100), {}),  # its replay memory wraps
+    "dqn that draws": (DQNConfig(f"{networks.__file__}:Noisy", **SHORT), {}),
+    "dqn on CUDA": (DQNConfig(f"{networks.__file__}:Small", **SHORT, device="cuda"), {}),
     "sb3-dqn": (LEARNERS["sb3-dqn"].Settings(steps=200, learning_starts=40, hidden=16), {"hidden": 8}),
     "sb3-ppo": (
         LEARNERS["sb3-ppo"].Settings(steps=200, n_steps=40, batch_size=20, n_epochs=2, hidden=16),
         {"hidden": 8},
     ),
 }
+
+
+def of(name: str) -> Any:
+    """The learner of an entry of `SMALL`."""
+    return LEARNERS[name.split()[0]]
 
 
 class Episodes(gym.Wrapper):
@@ -50,7 +58,7 @@ def make_env(n: int | None = None) -> gym.Env:
 
 
 def train(name: str, progress: Callable[[int], None] = lambda _: None) -> Any:
-    return LEARNERS[name].train(make_env, SMALL[name][0], 7, progress=progress)
+    return of(name).train(make_env, SMALL[name][0], 7, progress=progress)
 
 
 def stored(policy: Any, path: Path) -> list[bytes]:
@@ -60,9 +68,11 @@ def stored(policy: Any, path: Path) -> list[bytes]:
         return [archive.read(name) for name in sorted(archive.namelist())]
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", sorted({*SMALL, *LEARNERS}))
 def test_a_training_is_stored_and_begun_again_to_the_same_bits(name: str, tmp_path: Path) -> None:
     seen: list[int] = []
+    if "CUDA" in name and not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device")
     (small, others), whole = SMALL[name], train(name, seen.append)
     assert seen == sorted(seen) and seen and 0 < seen[-1] <= whole.record["steps"]
     assert whole.record["steps"] >= small.steps and hasattr(small, "updates")
@@ -78,14 +88,16 @@ def test_a_training_is_stored_and_begun_again_to_the_same_bits(name: str, tmp_pa
     again = train(name)
     path = tmp_path / "weights.npz"
     assert stored(again.policy, path) == stored(whole.policy, path)
-    np.testing.assert_array_equal(again.episodes["return"], whole.episodes["return"])
+    assert again.record == whole.record
+    for column, values in whole.episodes.items():
+        np.testing.assert_array_equal(again.episodes[column], values, err_msg=column)
 
-    loaded = LEARNERS[name].load(path, small, make_env())
+    loaded = of(name).load(path, small, make_env())
     for observation in np.random.default_rng(0).uniform(-1, 1, (20, 2, 5)).astype(np.float32):
         assert loaded.act(observation) == whole.policy.act(observation)
     if others:
         with pytest.raises(ValueError, match="another network"):
-            LEARNERS[name].load(path, replace(small, **others), make_env())
+            of(name).load(path, replace(small, **others), make_env())
 
 
 def test_attention_for_stable_baselines3_learns_is_stored_and_does_not_see_the_order(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from agents.dqn import DQN, DQNConfig, Training, train
-from agents.learner import Trained
 from agents.replay_memory import Replay, Step, Transition
 from tests.agents import networks
 from tests.agents.networks import Small, weights
@@ -36,14 +35,6 @@ def network_of(env: FakeEnv, config: DQNConfig) -> Any:
     """What an agent has learned, whose statistics of the inputs a type checker does not know."""
     policy: Any = train(env, config, 0).policy
     return policy.network
-
-
-def assert_equal(one: Trained, other: Trained) -> None:
-    """Bit for bit."""
-    assert weights(one.policy) == weights(other.policy)
-    assert one.record == other.record
-    for name, column in one.episodes.items():
-        np.testing.assert_array_equal(column, other.episodes[name], err_msg=name)
 
 
 def test_a_training_has_one_thread() -> None:
@@ -71,21 +62,6 @@ def test_inputs_are_standardised_with_the_warm_up_and_then_fixed() -> None:
     assert (short.mean != 0).any() and (short.deviation != 1).any()
     plain = network_of(road(), replace(SMALL, updates=20, standardise=False))
     assert (plain.mean == 0).all() and (plain.deviation == 1).all()
-
-
-needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-
-
-@pytest.mark.parametrize(
-    ("network", "device"),
-    [("Noisy", "cpu"), ("by hand", "cpu"), pytest.param("Small", "cuda", marks=needs_cuda)],
-)
-def test_a_training_gives_the_same_bits_again(network: str, device: str) -> None:
-    """With a replay memory that wraps; of all learners, also after one that was killed: test_learners.py."""
-    by_hand = network == "by hand"
-    network = "attention" if by_hand else f"{networks.__file__}:{network}"
-    config = replace(SMALL, network=network, by_hand=by_hand, device=device, replay_capacity=200)
-    assert_equal(train(road(), config, 0), train(road(), config, 0))
 
 
 def test_goals_beyond_what_rewards_allow_are_clipped_and_counted() -> None:

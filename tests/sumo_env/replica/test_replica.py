@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.backends import make_env
-from sumo_env.env import DrivingEnv
 from sumo_env.replica.compiled import compile_notice, compiled
 from sumo_env.replica.geometry import heading_at, locate, no_places, position
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, power, tan, unary
@@ -32,36 +30,17 @@ from sumo_env.traffic.scenario import Scenario
 from tests.processes import python
 from tests.sumo_env.situations import draw
 
-SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12}}
-
-
-def make(task: str, **config: Any) -> DrivingEnv:
-    env: Any = make_env("replica", task, {**SMALL.get(task, {}), **config}).unwrapped
-    return env
-
-
-def start(task: str, seed: int = 0, **config: Any) -> tuple[Replica, Any]:
-    env = make(task, **config)
-    env.reset(seed=seed)
-    simulator = Replica()
-    scene = simulator.reset(env.scenario)
-    assert scene.time == 0.0
-    return simulator, env.scenario
-
-
-def command(scenario: Any) -> EgoCommand:
-    return EgoCommand(scenario.ego.target_speed, scenario.ego.lane)
-
 
 def test_the_trace_is_the_scene_after_every_sub_step() -> None:
-    simulator, scenario = start("u-turn")
-    silent = copy.deepcopy(simulator)
-    step = simulator.step({"ego": command(scenario)}, trace=True)
+    simulator, drawn = Replica(), scenario("u-turn")
+    assert simulator.reset(drawn).time == 0.0
+    silent, command = copy.deepcopy(simulator), EgoCommand(drawn.ego.target_speed, drawn.ego.lane)
+    step = simulator.step({"ego": command}, trace=True)
     assert [scene.time for scene in step.trace] == pytest.approx(np.arange(1, 16) / 15, abs=1e-6)
     last = step.trace[-1]
     assert (last.time, last.ids) == (step.scene.time, step.scene.ids)
     np.testing.assert_array_equal(last.x, step.scene.x)
-    without = silent.step({"ego": command(scenario)})
+    without = silent.step({"ego": command})
     assert without.trace == ()
     np.testing.assert_array_equal(without.scene.x, step.scene.x)
 

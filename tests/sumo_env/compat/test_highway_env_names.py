@@ -20,12 +20,11 @@ import pytest
 import sumo_env
 from sumo_env.config import COMMON, IGNORED, resolve, warn_once
 from sumo_env.env import DrivingEnv
-from sumo_env.envs import HighwayEnvFast, UTurnEnv
+from sumo_env.envs import HighwayEnvFast
 from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.replica.batch import reward_weights
 from sumo_env.spaces.factory import interface
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.base import TARGET_SPEEDS
 from tests.processes import python_again
 from tests.sumo_env.parity import stock
 from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
@@ -93,22 +92,6 @@ def test_an_id_without_a_prefix_says_how_it_is_called_here() -> None:
     )
     assert "use sumo/highway-v0" in python_again("-c", "\n".join(lines))
     assert not set(sumo_env.unsupported.NOT_HERE) & {f"{task}-v0" for task in OF_HIGHWAY_ENV}
-
-
-OTHER_SPEEDS = [name for name in OF_HIGHWAY_ENV if TASKS[name].target_speeds != TARGET_SPEEDS]
-
-
-@pytest.mark.parametrize("task", OTHER_SPEEDS)
-def test_an_action_without_target_speeds_has_the_task_s_and_is_told_of_highway_env_s(task: str) -> None:
-    warn_once.cache_clear()
-    own = TASKS[task]
-    action = {"type": "DiscreteMetaAction"}
-    with pytest.warns(UserWarning, match=r"'target_speeds'.*highway-env \(20.0, 25.0, 30.0\)"):
-        interface(own, resolve(task, own.defaults, {"action": action}))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        interface(own, resolve(task, own.defaults, {"action": {**action, "target_speeds": [0, 1]}}))
-        interface(own, resolve(task, own.defaults))
 
 
 @pytest.mark.parametrize(
@@ -181,22 +164,12 @@ def test_numbers_may_be_numpys() -> None:
 # -- subclasses ----------------------------------------------------------------------------------------------
 
 
-class ByTheInstance(UTurnEnv):
-    def default_config(self) -> dict[str, Any]:
-        return {**super().default_config(), "duration": 7}
-
-
 def test_default_config_is_a_class_method_or_a_method() -> None:
+    """Keys that it leaves out are the task's."""
     for made, task in zip(CLASSES, OF_HIGHWAY_ENV, strict=True):
         assert made.default_config() == made().default_config() == DrivingEnv(task).default_config()
         assert made().task is TASKS[task] and issubclass(made, AbstractEnv)
-
-    assert ByTheInstance().config["duration"] == 7
-
-
-def test_keys_that_default_config_leaves_out_are_the_tasks() -> None:
-    for task, own in zip(OF_HIGHWAY_ENV, CLASSES, strict=True):
-        mine = type("Mine", (own,), {"default_config": lambda _: {"duration": 7}})()
+        mine = type("Mine", (made,), {"default_config": lambda _: {"duration": 7}})()
         assert mine.config == {**DrivingEnv(task).config, "duration": 7}
 
 

@@ -13,9 +13,9 @@ from highway_env.envs.common.observation import ObservationType, observation_fac
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.controller import MDPVehicle
 
-from experiments.backends import make_env
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
-from sumo_env.config import ConfigError, resolve
+from sumo_env.config import ConfigError, resolve, warn_once
+from sumo_env.env import DrivingEnv
 from sumo_env.networks.roads import highway
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.scene import Place
@@ -31,10 +31,10 @@ from sumo_env.spaces.observation import Kinematics
 from sumo_env.tasks import TASKS
 from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.scenarios.files import written
-from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
+from tests.tasks import highway_env_task
 
 from ..parity import ego_state, make, scatter, stock
-from ..rollout import drive
+from ..rollout import drive, observations
 
 ALL_FEATURES = [
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
@@ -153,11 +153,18 @@ def test_actions_are_those_of_highway_env(task: str, action: dict[str, Any]) -> 
 
 
 @highway_env_task
-def test_a_ladder_that_is_not_given_is_the_tasks(task: str) -> None:
-    """highway-env falls back to the highway's, because it replaces the whole entry."""
-    config = resolve(task, TASKS[task].defaults, {"action": {"type": "DiscreteMetaAction"}})
-    assert interface(TASKS[task], config).action_type.target_speeds == TASKS[task].target_speeds
-    assert ENVIRONMENTS[task](config).vehicle.target_speeds.tolist() == list(TASKS[task].target_speeds)
+def test_a_ladder_that_is_not_given_is_the_tasks(task: str, recwarn: pytest.WarningsRecorder) -> None:
+    """highway-env falls back to the highway's, because it replaces the whole entry: a warning says so."""
+    own, action = TASKS[task], {"type": "DiscreteMetaAction"}
+    warn_once.cache_clear()
+    for given in ({}, {"action": {**action, "target_speeds": [0, 1]}}):
+        interface(own, resolve(task, own.defaults, given))
+    assert not recwarn
+    config = resolve(task, own.defaults, {"action": action})
+    assert interface(own, config).action_type.target_speeds == own.target_speeds
+    told = [str(one.message) for one in recwarn if "in highway-env (20.0, 25.0, 30.0)" in str(one.message)]
+    assert len(told) == (own.target_speeds != SPEEDS)
+    assert ENVIRONMENTS[task](config).vehicle.target_speeds.tolist() == list(own.target_speeds)
 
 
 SPEEDS = (20.0, 25.0, 30.0)
@@ -221,23 +228,18 @@ def assert_told(table: np.ndarray, absolute: bool) -> None:
     np.testing.assert_allclose(seen[:, 5:], expected(relative), rtol=1e-4, atol=1e-3)  # places are float32
 
 
-# Of the replica and highway-env's classes in all tasks: above, and the kernels below.
-PLACES = [*(("sumo", task) for task in OF_HIGHWAY_ENV), ("replica", "exit"), ("highway-env", "u-turn")]
-
-
 @pytest.mark.parametrize("absolute", [False, True])
-@pytest.mark.parametrize(("backend", "task"), PLACES)
-def test_they_are_those_of_the_tables_rows_on_every_task(task: str, backend: str, absolute: bool) -> None:
-    env = make_env(backend, task, {"observation": {**RAW, "absolute": absolute}, "risk": 1.0})
-    observation, _ = env.reset(seed=0)
-    ended = False
-    while not ended:
-        assert_told(observation, absolute)
-        observation, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        ended = terminated or truncated
+@highway_env_task
+def test_they_are_those_of_the_tables_rows_on_every_task(task: str, absolute: bool) -> None:
+    """On SUMO; in highway-env's tables: above, and of the replica's kernels below."""
+    env = DrivingEnv(task, {"observation": {**RAW, "absolute": absolute}, "risk": 1.0})
+    for table in observations(env):
+        assert_told(table, absolute)
 
 
-@pytest.mark.parametrize("keys", [{}, {"order": "shuffled"}, {"clip": False, "see_behind": True}])
+@pytest.mark.parametrize(
+    "keys", [{}, {"order": "shuffled", "absolute": True}, {"clip": False, "see_behind": True}]
+)
 @highway_env_task
 def test_kernels_give_the_table_of_the_scene(task: str, keys: dict[str, Any]) -> None:
     """Its rows: of vehicles that are equally far along the lane, rounding decides which comes first."""
@@ -258,10 +260,8 @@ def test_kernels_give_the_table_of_the_scene(task: str, keys: dict[str, Any]) ->
 def test_on_a_network_of_ones_own_they_are_along_the_axes_of_the_table(tmp_path, absolute: bool) -> None:
     config = {"observation": {**RAW, "absolute": absolute}}
     env = SumoDrivingEnv(written(tmp_path, "static"), ego_vehicle="ego", config=config)
-    observation, _ = env.reset(seed=0)
-    for _ in range(25):
-        assert_told(observation, absolute)
-        observation, *_ = env.step(env.action_space.sample())
+    for table in observations(env):
+        assert_told(table, absolute)
 
 
 def test_they_are_scaled_as_other_features_with_ranges_of_their_own() -> None:

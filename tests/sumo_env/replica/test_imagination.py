@@ -11,7 +11,6 @@ import pytest
 from highway_env.vehicle.behavior import LinearVehicle
 
 from experiments.backends import make_env
-from experiments.backends.highway_env_vehicle import LinearScenarioVehicle
 from sumo_env.replica import linear
 from sumo_env.replica.draws import with_other_drivers
 from sumo_env.replica.tables import PARAMETERS
@@ -122,14 +121,3 @@ def test_everybody_else_is_a_regular_driver_and_nothing_happens() -> None:
         assert risky.events == ()
         assert risky.vehicles == regular.vehicles
         assert risky.spawns == regular.spawns
-
-
-def test_highway_env_drives_them_with_its_own_linear_vehicle() -> None:
-    env: Any = make_env("highway-env", "u-turn", {"risk_law": "linear", "risk": 1.0})
-    env.reset(seed=0)
-    drivers = linear.linear_drivers(env.unwrapped.scenario)
-    for vehicle in env.unwrapped.road.vehicles[1:]:
-        assert isinstance(vehicle, LinearScenarioVehicle) and isinstance(vehicle, LinearVehicle)
-        assert tuple(vehicle.ACCELERATION_PARAMETERS) == drivers[vehicle.id].acceleration
-        assert tuple(vehicle.STEERING_PARAMETERS) == drivers[vehicle.id].steering
-        assert vehicle.TIME_WANTED == linear.TIME_WANTED

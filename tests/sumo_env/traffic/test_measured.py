@@ -11,12 +11,11 @@ import pytest
 
 from docs.road_units import Traced, measures
 from sumo_env.env import DrivingEnv
-from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.traffic.drivers import POOL, Driver
 from sumo_env.traffic.measured import ACCEL, DECEL, DELTA, TAU, MeasuredPool, Normal
-from sumo_env.traffic.scenario import Scenario, VehicleSpec
+from tests.sumo_env.rollout import drive
 from tests.sumo_env.situations import draw
 from tests.tasks import every_task
 
@@ -26,21 +25,6 @@ COMMUTERS, HIGH_D = 0.30, 0.17  # lane changes per minute at 22.5 m/s: one in 4.
 
 def pool(task: str) -> MeasuredPool:
     return get_task(task).measured
-
-
-def drive(task: str, vehicles: list[VehicleSpec], ego: VehicleSpec, steps: int, action: int) -> list[Scene]:
-    """The scenes, ten a second, of so many seconds."""
-    definition = get_task(task)
-    simulator = Traced(here=True)
-    with closing(DrivingEnv(task, {"duration": steps}, simulator=simulator)) as env:
-        road = definition.road(env.config)
-        drawn = Scenario(task, 0, 0.0, ego, tuple(vehicles), net=road.name, road_arguments=road.arguments)
-        calibration = draw(task, drivers="measured").calibration
-        env.reset(seed=0, options={"scenario": replace(drawn, calibration=calibration)})
-        for _ in range(steps):
-            if env.step(action)[2]:
-                break
-    return simulator.scenes
 
 
 def distances(found: list[float], law: Normal) -> np.ndarray:
@@ -124,7 +108,12 @@ def takes(driver: Driver, way: Way, stream: Way, seconds: float) -> bool:
         make_on_lane(road, name, theirs, place, STREAM, even, destination=goal)
         for name, place in (("a0", first), ("a1", behind))
     ]
-    scenes = drive(task.name, [waiting, *others], ego, 13, 0)
+    traced, drawn = Traced(here=True), draw(task.name, drivers="measured")
+    scenario = replace(drawn, ego=ego, vehicles=(waiting, *others), spawns=(), events=(), warm_up=0.0)
+    with closing(DrivingEnv(task.name, simulator=traced)) as env:
+        env.reset(options={"scenario": scenario})
+        list(drive(env, 0))  # for 13 s
+    scenes = traced.scenes  # ten a second
     places = [(s.x[row], s.y[row]) for s in scenes if "v" in s.ids for row in [s.ids.index("v")]]
     gone = np.flatnonzero(np.hypot(*np.diff(places, axis=0).T).cumsum() > 2.3)
     return len(gone) > 0 and scenes[gone[0]].time < 4.0 / STREAM + seconds

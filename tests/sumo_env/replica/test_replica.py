@@ -227,11 +227,3 @@ def test_a_swerve_on_the_two_way_road_comes_back() -> None:
     y = np.array([scene.y[row] for scene, row in seen])
     assert y.min() < 0.1
     assert y[-1] == pytest.approx(4.0, abs=0.1)
-
-
-def test_events_of_vehicles_that_are_not_there_are_dropped() -> None:
-    surge = RiskEvent(0.0, "s13", "surge", accel=4.0, duration=1.0)
-    drawn = scenario("intersection", surge, spawn_probability=1.0)
-    assert "s13" in {spawn.vehicle.id for spawn in drawn.spawns}
-    Replica().reset(drawn)
-    driven(drawn, 1, "ego")

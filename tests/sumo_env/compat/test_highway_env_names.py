@@ -25,7 +25,7 @@ from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.replica.batch import reward_weights
 from sumo_env.spaces.factory import interface
 from sumo_env.tasks import TASKS
-from tests.processes import python_again
+from tests.processes import python
 from tests.sumo_env.parity import stock
 from tests.tasks import OF_HIGHWAY_ENV, highway_env_task
 
@@ -90,7 +90,7 @@ def test_an_id_without_a_prefix_says_how_it_is_called_here() -> None:
         "try: gymnasium.make('highway-v0')",
         "except gymnasium.error.UnregisteredEnv as error: print(error)",
     )
-    assert "use sumo/highway-v0" in python_again("-c", "\n".join(lines))
+    assert "use sumo/highway-v0" in python("-c", "\n".join(lines))
     assert not set(sumo_env.unsupported.NOT_HERE) & {f"{task}-v0" for task in OF_HIGHWAY_ENV}
 
 

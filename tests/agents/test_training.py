@@ -45,12 +45,11 @@ def test_a_training_has_one_thread() -> None:
     assert set(found.values()) == {1} and any("scipy" in path for path in found)
 
 
-@pytest.mark.parametrize("steps_per_update", [1, 4])
-def test_every_agent_gets_the_same_budget(steps_per_update: int) -> None:
-    config = replace(SMALL, steps_per_update=steps_per_update)
+def test_every_agent_gets_the_same_budget() -> None:
+    config = replace(SMALL, steps_per_update=4, updates=110)
     agents = [train(road(dose), config, 0) for dose in (0.0, 0.9, 4.0)]
     for agent in agents:
-        assert agent.record["updates"] == 300
+        assert agent.record["updates"] == 110
         assert 0 <= agent.record["steps"] - config.steps < 20  # the last episode is played to its end
         assert agent.episodes["length"].sum() == agent.record["steps"] == agent.episodes["step"][-1]
     assert len({len(agent.episodes["episode"]) for agent in agents}) > 1
@@ -66,7 +65,7 @@ def test_inputs_are_standardised_with_the_warm_up_and_then_fixed() -> None:
 
 def test_goals_beyond_what_rewards_allow_are_clipped_and_counted() -> None:
     """A target network without lag diverges; clipped, its values stay where they can be, and the record says how."""
-    config = replace(SMALL, updates=400, tau=1.0, gamma=0.99, standardise=False)
+    config = replace(SMALL, updates=200, tau=1.0, gamma=0.99, standardise=False)
     free, clipped = (train(road(), replace(config, clip_goals=clip), 0) for clip in (False, True))
     assert "goals_clipped" not in free.record
     assert 90.0 < free.record["q_bound"] <= 1 / 0.01  # the fake environment pays at most 1

@@ -1,7 +1,5 @@
 """Double DQN on the attention network, compiled: what `agents.dqn` does with torch, two to three times as fast."""
 
-from __future__ import annotations
-
 import sys
 from functools import cache
 from itertools import accumulate

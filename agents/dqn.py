@@ -4,8 +4,6 @@ All draws are the seed's, and every episode begins with ``env.reset(seed=...)``:
 again, and gives the same bits.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from copy import deepcopy

@@ -1,7 +1,5 @@
 """What is written down about the episodes of a training, whoever learns."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """A column more in an observation: a number that the agent is told beside what it sees."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Files that are whole or absent, whatever is killed; arrays in an npz, of which damage is detected when read."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """The greedy policy of a trained network, and its file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -40,7 +38,7 @@ class Greedy:
         save_arrays(path, {name: value.numpy() for name, value in self.network.state_dict().items()})
 
     @classmethod
-    def load(cls, path: str | Path, network: nn.Module) -> Greedy:
+    def load(cls, path: str | Path, network: nn.Module) -> "Greedy":
         """Read weights written by :meth:`save` into a network of the same kind.
 
         Raises ValueError when they belong to another one, DamagedFile when the file is damaged.

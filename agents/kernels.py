@@ -5,8 +5,6 @@ threads (of scipy's BLAS, which makes the products; `dqn.train` sets one). All k
 again when the file of a function has changed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -14,8 +14,6 @@ FILE:NAME. `agents.sb3` has learners of another library.
   ``act(observation)``; a ``reset(seed)`` is called when an episode begins.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ the paper's dueling network, and the same behind an attention layer over the obs
 standardised (:class:`Standardised`), and whatever a network needs beyond that it does itself.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from copy import deepcopy

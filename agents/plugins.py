@@ -1,7 +1,5 @@
 """Things by name: those that there are, and objects from a user's own file, "FILE:NAME"."""
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 import importlib.util

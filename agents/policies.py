@@ -4,8 +4,6 @@ Learnt here: :class:`agents.greedy.Greedy`. Learnt elsewhere: :class:`StableBase
 Never learnt: `agents.rules`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import json

@@ -6,8 +6,6 @@
 `python -m experiments.study.replaying.publish` writes the file.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -54,7 +52,7 @@ def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
     return known[wanted]
 
 
-def load(setting: str, arm: str, file: str | Path = FILE, network: Network | None = None) -> Greedy:
+def load(setting: str, arm: str, file: str | Path = FILE, network: "Network | None" = None) -> "Greedy":
     """The greedy policy of an agent, for example of the setting "u-turn-3" and the arm "treatment".
 
     Call its ``reset()`` when an episode begins: some agents observe the time, which they count themselves.
@@ -86,7 +84,7 @@ def load(setting: str, arm: str, file: str | Path = FILE, network: Network | Non
     return Timed(inner, steps) if steps else Greedy(inner)
 
 
-def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE) -> None:
+def save(agents: Mapping[str, tuple[Mapping[str, Any], "Greedy"]], file: str | Path = FILE) -> None:
     """Write agents with their cards, by "SETTING/ARM", and their weights in half precision."""
     arrays = {CARDS: np.array(json.dumps({name: about for name, (about, _) in agents.items()}))}
     for name, (_, policy) in agents.items():

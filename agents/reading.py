@@ -1,7 +1,5 @@
 """Which files somebody's code reads while it is run: weights beside a policy's code are a part of what it is."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

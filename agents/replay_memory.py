@@ -1,7 +1,5 @@
 """Uniform replay memory (Mnih et al. 2015) of n-step transitions, in preallocated arrays."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple

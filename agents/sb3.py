@@ -1,7 +1,5 @@
 """DQN and PPO of Stable-Baselines3 as learners, with the settings of highway-env's own examples."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path

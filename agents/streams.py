@@ -4,8 +4,6 @@ One stream a purpose, so that a draw more in one place (an extra exploration ste
 of another: an agent that behaves differently still meets the same training scenarios.
 """
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

@@ -6,8 +6,6 @@ junctions: netconvert limits bends to 8-10 m/s by a comfort rule, while highway-
 The header, which contains a date and paths of the machine, is dropped, so that building twice gives the same bytes.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -6,8 +6,6 @@ passenger cars; lanes for buses, bicycles and others alone are the road from "E/
 `lane("E", 0)` is the index of a lane.
 """
 
-from __future__ import annotations
-
 import gzip
 import math
 import os

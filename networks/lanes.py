@@ -9,8 +9,6 @@ compares every lane of every task.
 Arithmetic is on plain floats: a call takes about 0.2 microseconds, much less than with numpy scalars.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ intersection ("ir0" -> "il1") are SUMO's internal lanes; all other internal lane
 counterpart. The two-way road's ("a","b",0) is the oncoming lane driven the wrong way: SUMO's "b-a_0".
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

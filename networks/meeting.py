@@ -7,8 +7,6 @@ directions between two junctions (opposite lanes, `bidi`), and as far as they ru
 that joins at a small angle).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from heapq import heappop, heappush
 from math import inf

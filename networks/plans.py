@@ -5,8 +5,6 @@ longer than highway-env's, where vehicles keep driving along the extrapolated la
 to do so.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

@@ -4,8 +4,6 @@ A lane is named by highway-env's index (from node, to node, lane id); id 0 is th
 questions of geometry, and has no vehicles. Numbers are those of highway_env/envs/*_env.py. SUMO's: `networks.mapping`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -64,7 +62,7 @@ class Road:
     def __hash__(self) -> int:
         return hash((self.name, self.arguments))
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Road:
+    def __deepcopy__(self, memo: dict[int, object]) -> "Road":
         return self  # immutable
 
     def lane(self, index: LaneIndex) -> Lane:

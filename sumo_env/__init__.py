@@ -7,8 +7,6 @@ compiled, are ``replica/highway-v0`` and so on, with ``replica/highway-fast-v0``
 has, such as ``replica/u-turn-v1`` (extra ``[replica]``).
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

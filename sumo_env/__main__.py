@@ -4,8 +4,6 @@ Prints one line per check, and what to do if one fails. Exits with 0 if all is w
 changed on the machine.
 """
 
-from __future__ import annotations
-
 import argparse
 import platform
 import sys

@@ -7,8 +7,6 @@ meant, ``python -m sumo_env.benchmark`` writes them anew.
 Policies of other tasks are tested in the same way; their scenarios are not frozen.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from contextlib import closing

@@ -1,7 +1,5 @@
 """What a task of a user's own has to keep to, as one function that says what is wrong: `check_task`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import closing

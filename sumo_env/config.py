@@ -1,7 +1,5 @@
 """Configuration: highway-env's keys, checked. Each default is defined once, in `KEYS` or in its task's file."""
 
-from __future__ import annotations
-
 import copy
 import difflib
 import math

@@ -1,7 +1,5 @@
 """Several learning cars as PettingZoo's `ParallelEnv` (extra ``[multi-agent]``): see docs/several-cars.md."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path

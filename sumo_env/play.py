@@ -3,8 +3,6 @@
 Arrow keys: right FASTER, left SLOWER, up LANE_LEFT, down LANE_RIGHT. Close the window to stop.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from itertools import count

@@ -1,7 +1,5 @@
 """The state of the traffic at one instant. Simulators produce scenes; observations, rewards and measures read them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
@@ -154,7 +152,7 @@ class Scene:
     signals: Mapping[str, str] = field(default_factory=dict)
     near_events: NearEvents | None = None
 
-    def seen_by(self, name: str) -> Scene:
+    def seen_by(self, name: str) -> "Scene":
         """The scene in which this learning car is the ego; KeyError if there is no such one."""
         if self.ids[:1] == (name,):
             return self
@@ -169,7 +167,7 @@ class Scene:
         """Length and width of a vehicle [m]."""
         return self.sizes.get(name, CAR_SIZE)
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Scene:
+    def __deepcopy__(self, memo: dict[int, object]) -> "Scene":
         return self  # immutable
 
     def __len__(self) -> int:

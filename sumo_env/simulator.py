@@ -5,8 +5,6 @@ or a simulator without SUMO. Everything that is exchanged is a value that can be
 another process; neither side modifies the other's state.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol

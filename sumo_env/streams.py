@@ -1,7 +1,5 @@
 """Named random streams: one independent generator for each purpose, so that no part shifts another's draws."""
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What highway-env has and this package has not: why, and what to use instead. Messages about it name a page."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 from importlib.util import find_spec

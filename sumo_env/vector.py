@@ -6,8 +6,6 @@ Every environment has SUMO in a worker process. While its worker drives, the thr
 run, so the simulations are parallel and everything else is gymnasium's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any

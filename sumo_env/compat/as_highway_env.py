@@ -1,7 +1,5 @@
 """What scripts and subclasses that were written for highway-env meet of an environment."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Mapping
 from functools import update_wrapper

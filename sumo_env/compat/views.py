@@ -4,8 +4,6 @@ Rewards and scripts written for highway-env read the ego's position, speed or la
 present scene: a simulator drives the vehicles, so nothing can be changed through them.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Container, Mapping, Sequence
 from functools import cached_property
@@ -160,7 +158,7 @@ class Vehicle(View):
     target_speed: float  # that its driver wants, or the ego approaches [m/s]
     LENGTH: float  # [m]
     WIDTH: float  # [m]
-    road: RoadView  # the road and all vehicles
+    road: "RoadView"  # the road and all vehicles
 
     def __repr__(self) -> str:
         x, y = self.position
@@ -204,18 +202,18 @@ class Vehicle(View):
         """[m/s]."""
         return self.speed * self.direction
 
-    def lane_distance_to(self, other: Vehicle | None, lane: LaneView | None = None) -> float:
+    def lane_distance_to(self, other: "Vehicle | None", lane: LaneView | None = None) -> float:
         """How far ahead another vehicle is along a lane, by default the own one [m]; NaN without another vehicle."""
         if other is None:
             return float("nan")
         along = lane or self.lane
         return along.local_coordinates(other.position)[0] - along.local_coordinates(self.position)[0]
 
-    def front_distance_to(self, other: Vehicle) -> float:
+    def front_distance_to(self, other: "Vehicle") -> float:
         """How far ahead another vehicle is along the own heading [m]."""
         return float(self.direction.dot(other.position - self.position))
 
-    def to_dict(self, origin_vehicle: Vehicle | None = None) -> dict[str, float]:
+    def to_dict(self, origin_vehicle: "Vehicle | None" = None) -> dict[str, float]:
         """The features of `Kinematics` [m, m/s, rad]; places and velocities relative to another vehicle, if given."""
         goal = self.destination_direction
         own = (self.velocity, [self.heading], self.direction, goal, self.lane_offset)

@@ -5,8 +5,6 @@ the geometry sees only what `rectangles.first_touch` is given. So a touch of the
 report of SUMO on its own counts where the outlines are within `SUMO_TOLERANCE`. The record says who saw the crash.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace

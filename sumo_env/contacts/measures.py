@@ -5,8 +5,6 @@ until the two first touch if both keep their velocity and heading. It is exact, 
 `ego_ttc`: plain floats only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from math import cos, inf, sin
 

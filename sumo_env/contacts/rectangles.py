@@ -9,8 +9,6 @@ All functions take plain floats: with the handful of vehicles near the ego this 
 `State`, and has highway-env's size where no other is given. `sumo_env.replica.compiled` compiles some of them as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import cos, hypot, inf, sin, sqrt
 

@@ -4,8 +4,6 @@
 ``MultiAgentObservation``; `sumo_env.parallel` is PettingZoo's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import product

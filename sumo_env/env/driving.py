@@ -1,7 +1,5 @@
 """`DrivingEnv`: highway-env's interface to a `Simulator`, which is SUMO by default."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -224,7 +222,7 @@ class DrivingEnv(ReadAsHighwayEnv):
     def draw_arrival(self) -> None:
         """Draw who comes before the next step, where the scenario has not drawn it already."""
 
-    def imagine(self, seed: int) -> DrivingEnv:
+    def imagine(self, seed: int) -> "DrivingEnv":
         """A copy of this environment in which new risk events replace those that have not begun.
 
         ``copy.deepcopy(env)`` is a copy that knows the future: it meets the same events as the environment itself. A

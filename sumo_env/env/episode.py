@@ -1,7 +1,5 @@
 """An episode: what all learning cars of one simulation share of it, and what it is for one of them."""
 
-from __future__ import annotations
-
 import copy
 import math
 from dataclasses import replace
@@ -35,7 +33,7 @@ class Episode:
         self.is_closed = False  # whether the user has closed a window
         self.scene = simulator.reset(scenario)  # the present one, of all cars
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Episode:
+    def __deepcopy__(self, memo: dict[int, object]) -> "Episode":
         """A copy with a simulator of its own; both share commands and vehicles, for nobody changes one."""
         twin = copy.copy(self)
         twin.simulator = copy.deepcopy(self.simulator, memo)

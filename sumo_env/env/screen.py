@@ -1,7 +1,5 @@
 """Where a user sees an environment: pictures, films and a window, with the keys pressed in it (extra ``[window]``)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from typing import Any

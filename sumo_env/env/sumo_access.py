@@ -1,7 +1,5 @@
 """What a user has of the SUMO under an environment: its options, the command of ``sumo``, exported files."""
 
-from __future__ import annotations
-
 import copy
 import shlex
 import tempfile

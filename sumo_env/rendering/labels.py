@@ -1,7 +1,5 @@
 """Where words stand beside cars: inside the picture, and neither on the ego nor on each other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -21,7 +19,7 @@ class Box(NamedTuple):
     bottom: float
 
     @classmethod
-    def around(cls, x: float, y: float, width: float, height: float) -> Box:
+    def around(cls, x: float, y: float, width: float, height: float) -> "Box":
         """By its middle and size."""
         return cls(x - width / 2, y - height / 2, x + width / 2, y + height / 2)
 
@@ -29,7 +27,7 @@ class Box(NamedTuple):
         """Whether a point is inside."""
         return self.left < x < self.right and self.top < y < self.bottom
 
-    def common(self, other: Box) -> float:
+    def common(self, other: "Box") -> float:
         """Area of what two have in common [px2]."""
         width = min(self.right, other.right) - max(self.left, other.left)
         height = min(self.bottom, other.bottom) - max(self.top, other.top)

@@ -4,8 +4,6 @@ Derived from the lanes alone. Edge lines need no rule for junctions: every strip
 and slightly wider, then all surfaces are drawn over that, so white remains only at the rim of their union.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

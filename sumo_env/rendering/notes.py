@@ -1,7 +1,5 @@
 """What a picture says beside what is to be seen: marks of vehicles, lines of text, and how much of the time is over."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from math import inf
 from typing import NamedTuple

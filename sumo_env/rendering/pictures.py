@@ -6,8 +6,6 @@ to which it comes near (pink, with the time to the collision). In the corner are
 meta-action, and below a red or yellow light ahead, a near miss and a crash. The bar at the lower edge is the time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from functools import cache

@@ -3,8 +3,6 @@
 No display, no window, the same pixels on every machine. The camera follows the ego as highway-env's does.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -38,7 +36,7 @@ class Paint(NamedTuple):
     # of cars on which a risk event acts; None where that is not to be seen, nor windows and headlights
     in_event: Colour = None
 
-    def in_grey(self, weights: NDArray[np.float64]) -> Paint:
+    def in_grey(self, weights: NDArray[np.float64]) -> "Paint":
         """The greys of these colours, by weights of red, green and blue."""
 
         def grey(colour: Colour) -> int:
@@ -96,7 +94,7 @@ class Camera(NamedTuple):
     scale: float
 
     @classmethod
-    def of(cls, scene: Scene, view: Mapping[str, Any], finer: int = 1) -> Camera:
+    def of(cls, scene: Scene, view: Mapping[str, Any], finer: int = 1) -> "Camera":
         """By highway-env's keys: ``screen_width``, ``screen_height``, ``scaling``, ``centering_position``.
 
         finer: pixels along each side of one of the picture. The camera moves by whole pixels, so that the road does not

@@ -4,8 +4,6 @@ An episode here is one row of each table of `Batch`; what happens in it is compu
 environment too. Rows have room for more cars than there are.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@ when a function of another file that it calls has; therefore machine code that i
 kernels use is dropped before it is loaded.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 And the time until the ego touches somebody, as it is measured for every simulator.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ generator in the same order, so that a seed means the same episode in both. What
 the intersection's arrivals, is drawn by `arrival` when highway-env does it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from typing import Any

@@ -8,8 +8,6 @@ where d is the distance of *centres* and d* has no lower bound. Lane changes are
 politeness 0; all accelerations in it, the new follower's as well, are those of the *deciding* driver's parameters.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

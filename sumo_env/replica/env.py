@@ -1,7 +1,5 @@
 """`ReplicaEnv`: highway-env's environments on the compiled physics, with highway-env's own seeds or with ours."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 A lane's own coordinates (s, lat) are metres along its centre line and to the right of it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@ one on the lane of lower priority or, on lanes of equal priority, the one that h
 A learning car is never made to give way.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -7,8 +7,6 @@ the dose, and a driver who is risky at one dose is the same at a higher one; eve
 risk events happen.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

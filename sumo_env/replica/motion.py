@@ -1,7 +1,5 @@
 """How a car moves: highway-env's steering and bicycle model."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

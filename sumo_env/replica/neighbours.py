@@ -1,7 +1,5 @@
 """Who is ahead of and behind whom (``Road.neighbour_vehicles``), and how far beyond the end of a lane a leader is."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -12,8 +12,6 @@ With ``NUMBA_DISABLE_JIT=1`` nothing is compiled. Kernels run as Python, so that
 numpy's functions in the usual way.
 """
 
-from __future__ import annotations
-
 import ctypes
 from typing import Any
 

@@ -4,8 +4,6 @@
 (cos_d, sin_d) are left to the latter.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

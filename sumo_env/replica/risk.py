@@ -3,8 +3,6 @@
 The same events, by the same rules, as `experiments.backends.highway_env` starts among highway-env's vehicles.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from sumo_env.contacts import rectangles

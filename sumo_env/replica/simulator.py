@@ -1,7 +1,5 @@
 """`Replica`: highway-env's physics without SUMO, as a `sumo_env.simulator.Simulator`."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from functools import lru_cache
@@ -141,7 +139,7 @@ class Replica:
             ego["target_speed"] = command.target_speed
             self._steer_ego_for(ego, command.target_lane)
 
-    def seen_by(self, name: str) -> Replica:
+    def seen_by(self, name: str) -> "Replica":
         """The present state in which this learning car is the ego, for `ego_place`, `before_ego` and `table`."""
         first = self.before_ego()
         order = [*range(1, first + 1), 0, *range(first + 1, len(self._cars))]  # highway-env's list
@@ -205,7 +203,7 @@ class Replica:
         """Forget the episode."""
         self._is_begun = False
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Replica:
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Replica":
         """A copy for planners: it has cars of its own, and shares what never changes."""
         twin = copy.copy(self)
         if self._is_begun:

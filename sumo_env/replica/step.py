@@ -1,7 +1,5 @@
 """The sub-steps of highway-env (``AbstractEnv._simulate``, ``Road.act``, ``Road.step``), one policy step per call."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@ A lane is called by its number, in highway-env's order of lanes; lanes beside ea
 the number of the left one is also the number of their road.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

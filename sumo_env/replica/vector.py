@@ -3,8 +3,6 @@
 envs = gym.make_vec("sumo_env:replica/u-turn-v0", num_envs=64, scenarios="seeded")
 """
 
-from __future__ import annotations
-
 import copy
 import time
 from collections.abc import Iterator, Sequence
@@ -162,7 +160,7 @@ class ReplicaVectorEnv(VectorEnv):
         infos |= self._infos(self._told(actions, driven == AFRESH), np.ones(self.num_envs, np.bool_))
         return self._batch.observations.copy(), rewards, terminated, truncated, infos
 
-    def copies(self, rows: Sequence[int] | NDArray[np.int64]) -> ReplicaVectorEnv:
+    def copies(self, rows: Sequence[int] | NDArray[np.int64]) -> "ReplicaVectorEnv":
         """A batch of copies of these environments, which go on by themselves, with one thread.
 
         An environment that is named several times has several copies. Copies and the batch that they are of share the

@@ -4,8 +4,6 @@ SUMO reads, routes, inserts and removes what is in the files; `file_checks` look
 which files there are.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`SumoDrivingEnv`: one learning car in any SUMO scenario."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ SUMO's own reader judges what they say. Refused are the few inputs that end the 
 outputs that open a connection; where outputs go, `settings.file_settings` says.
 """
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

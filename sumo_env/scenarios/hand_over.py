@@ -1,7 +1,5 @@
 """SUMO drives the ego where a rule says so, and the agent elsewhere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Traffic lights on the ego's way: how an ego that obeys them drives, and which ones it runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import inf, sqrt
 

@@ -1,7 +1,5 @@
 """Driving through any SUMO scenario: SUMO's own files, or routes among which traffic is drawn (`SumoDrivingEnv`)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What each policy step is paid of an ego's way through a network of a user's own."""
 
-from __future__ import annotations
-
 
 class Progress:
     """The metres that were driven in a policy step, as a share of the whole way as it then stands (driven and left).

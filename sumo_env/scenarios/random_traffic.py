@@ -1,7 +1,5 @@
 """Traffic that is drawn for each episode on routes of a SUMO network, as SUMO's elements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ Each is a cost: a weight is negative where it is to be avoided. All are sums ove
 at any policy frequency.
 """
 
-from __future__ import annotations
-
 from sumo_env.config import Config, pace
 from sumo_env.tasks.base import EgoState
 

@@ -1,7 +1,5 @@
 """Risky drivers among vehicles of SUMO's files: how they differ from their own vehicle types."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 

@@ -3,8 +3,6 @@
 Its type limits what commands can do. Without a target speed or a target lane SUMO drives it as it does all others.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from math import inf
 

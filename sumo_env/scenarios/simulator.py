@@ -4,8 +4,6 @@ Every reset loads SUMO with the seed of the episode, so that nothing of earlier 
 the ego has departed. What risk does, it does to vehicles as they come; at dose 0 nobody but the ego is touched.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace

@@ -6,8 +6,6 @@ cars along lanes, the lane. All are pure functions of the road and the scene (``
 Where the configuration says "sumo" in place of True, SUMO drives what the agent does not (`EgoCommand`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

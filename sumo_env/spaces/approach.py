@@ -5,8 +5,6 @@ absolute or not. One function serves all simulators: the kernels of the replica 
 to the tables of highway-env.
 """
 
-from __future__ import annotations
-
 import math
 
 from sumo_env.scene import MAX_SPEED

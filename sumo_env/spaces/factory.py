@@ -3,8 +3,6 @@
 Separate from the environment because the backend highway-env of the experiments uses it as well.
 """
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple

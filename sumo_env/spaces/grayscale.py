@@ -1,7 +1,5 @@
 """What the agent sees, as pictures: highway-env's GrayscaleObservation, as a function of the scenes of an episode."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The ``info`` of a step, and how an episode has ended."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any

@@ -1,7 +1,5 @@
 """What the agent sees, lane by lane: gaps and speeds of the leader and the follower."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

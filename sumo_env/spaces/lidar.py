@@ -3,8 +3,6 @@
 Points and directions are complex numbers here, x + iy.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """What the agent sees: highway-env's Kinematics table and TimeToCollision grid, as functions of a scene."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

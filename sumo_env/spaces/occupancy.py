@@ -1,7 +1,5 @@
 """What the agent sees, as a picture: highway-env's OccupancyGrid, as a function of a scene."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

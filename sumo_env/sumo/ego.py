@@ -5,8 +5,6 @@ commanded acceleration; the sideways motion of a lane change is SUMO's. What is 
 regular driver.
 """
 
-from __future__ import annotations
-
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.mapping import Network
 from sumo_env.simulator import LANE_ENDED, EgoCommand

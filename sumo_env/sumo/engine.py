@@ -3,8 +3,6 @@
 libsumo supports one simulation per process; so does this package's use of traci.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import subprocess

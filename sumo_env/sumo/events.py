@@ -4,8 +4,6 @@ A cut-in is a lane change that SUMO executes without asking its lane-change mode
 other kinds command a vehicle in every sub-step in which they do not pause (`EventKind`). Afterwards it is SUMO's again.
 """
 
-from __future__ import annotations
-
 from bisect import insort
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence

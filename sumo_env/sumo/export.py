@@ -8,8 +8,6 @@ SUMO's convention differs from the scenes' (highway-env's): y points up, a posit
 and an angle is in degrees, clockwise from north.
 """
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Iterator, Mapping, Sequence

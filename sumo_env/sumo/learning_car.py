@@ -1,7 +1,5 @@
 """A learning car of an episode in SUMO: who drives it, what is near it, and what it meets in a policy step."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from math import inf
@@ -78,7 +76,7 @@ class Car:
             ego.overlap = ego.overlap if touch is None else apart[touch[0]]
         return [name for name in ids if name not in apart]
 
-    def be_hit(self, other: Car, crash: CrashRecord) -> None:
+    def be_hit(self, other: "Car", crash: CrashRecord) -> None:
         """Another learning car has touched this one; the contact is this car's first one, unless it had one."""
         if not self.ego.vehicle.crashed:
             self.ego.vehicle.crash(self.ego.speed)

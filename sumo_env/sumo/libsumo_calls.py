@@ -1,7 +1,5 @@
 """The SUMO of an environment, wherever it runs: libsumo's functions by their names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +21,7 @@ class Sumo:
     def __init__(self, call: Callable[[str, tuple[Any, ...], dict[str, Any]], Any], path: str = "") -> None:
         self._call, self._path = call, path
 
-    def __getattr__(self, name: str) -> Sumo:
+    def __getattr__(self, name: str) -> "Sumo":
         if name.startswith("_"):
             raise AttributeError(name)
         if name in REFUSED and self._path in ("", "simulation"):

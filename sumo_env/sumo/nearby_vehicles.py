@@ -4,8 +4,6 @@ SUMO is asked vehicle by vehicle where the ego is, and everybody who may be with
 the same states and takes longer than the rest of a sub-step on small roads (docs/developers/decisions.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from itertools import chain, product
 from math import inf

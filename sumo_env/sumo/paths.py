@@ -1,7 +1,5 @@
 """Files that SUMO reads and writes: names that it understands, and folders of this process."""
 
-from __future__ import annotations
-
 import atexit
 import os
 import re

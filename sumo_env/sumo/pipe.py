@@ -1,7 +1,5 @@
 """How this process starts a worker and gets a socket to it, and messages on that socket."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import socket

@@ -10,8 +10,6 @@ An episode is copied by forking its worker. One of this process is first driven 
 Where a process cannot be forked, every copy is driven again.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal
@@ -147,7 +145,7 @@ class SumoProcess:
                 self._calls.pop()  # a copy need not ask again
             return value
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
+    def __deepcopy__(self, memo: dict[int, Any]) -> "SumoProcess":
         """A simulator in the same state.
 
         Raises:
@@ -163,7 +161,7 @@ class SumoProcess:
         twin._may_be_here = self._may_be_here
         return twin
 
-    def _copy_into(self, twin: SumoProcess) -> None:
+    def _copy_into(self, twin: "SumoProcess") -> None:
         forks = pipe.FORKS and not self._live
         if isinstance(self._talk(lambda host: host), _Here) and forks:  # go on in a worker
             there = self._driven_again()
@@ -184,7 +182,7 @@ class SumoProcess:
     def __reduce__(self) -> NoReturn:
         raise TypeError("SUMO's environments cannot be pickled: copy.deepcopy(env) makes a copy")
 
-    def _adopt(self, host: _Here | _Worker) -> None:
+    def _adopt(self, host: "_Here | _Worker") -> None:
         self._host = host
         self._forgotten = weakref.finalize(self, host.forget)  # as garbage, or at the interpreter's exit
 
@@ -195,7 +193,7 @@ class SumoProcess:
                 self._host.end(grace)
             self._host = None
 
-    def _driven_again(self) -> _Worker:
+    def _driven_again(self) -> "_Worker":
         """A new worker in which the episode has been driven again up to here."""
         there = SumoProcess(self._name, self._options)
         try:
@@ -264,7 +262,7 @@ class _Here:
         self._simulator = simulator
 
     @classmethod
-    def take(cls, simulator: str, options: Mapping[str, str]) -> _Here | None:
+    def take(cls, simulator: str, options: Mapping[str, str]) -> "_Here | None":
         """The simulation if it is free."""
         if not cls._taken.acquire(blocking=False):
             return None
@@ -300,7 +298,7 @@ class _Worker:
         self._socket = ours
 
     @classmethod
-    def start(cls, simulator: str, options: Mapping[str, str]) -> _Worker:
+    def start(cls, simulator: str, options: Mapping[str, str]) -> "_Worker":
         """A new process."""
         # The worker imports what this process would import. PYTHONPATH cannot have a colon in a name.
         path = [entry for entry in sys.path if isinstance(entry, str)]  # Python skips others
@@ -310,7 +308,7 @@ class _Worker:
         child, ours = pipe.start(program, arguments, {**os.environ, **SINGLE_THREAD})
         return cls(child.pid, ours, child)
 
-    def fork(self, timeout: float | None) -> _Worker:
+    def fork(self, timeout: float | None) -> "_Worker":
         """A copy of the process, which serves a socket of its own; SimulatorError if the system has no process left."""
         self._send("fork", (), timeout)
         answer, descriptors, _, _ = socket.recv_fds(self._socket, 4096, 1)

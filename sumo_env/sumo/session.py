@@ -4,8 +4,6 @@ A process has one `Session` at most. SUMO's coordinates (y up, front bumper, deg
 everything above uses highway-env's (y down, centre, radians).
 """
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """What SUMO is loaded with, as a value."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which risk events come more often in an episode, and how many were to be expected (`traffic.tilt`)."""
 
-from __future__ import annotations
-
 from bisect import insort
 from collections.abc import Iterable
 from math import inf

@@ -1,7 +1,5 @@
 """Options of SUMO that a user adds, such as output files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 

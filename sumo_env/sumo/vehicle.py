@@ -4,8 +4,6 @@ The agent takes those of a learning car, an event of risk those of a driver, and
 No other module sets modes.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from math import inf
 

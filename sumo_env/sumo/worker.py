@@ -5,8 +5,6 @@ command "fork" makes a copy of the process, which serves a socket of its own. No
 and only what the simulator needs is imported, because the client waits for it.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal

@@ -5,8 +5,6 @@ commanded; then SUMO steps, and what is near a learning car is read for contacts
 read once per policy step.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Mapping, Sequence

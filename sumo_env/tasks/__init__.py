@@ -1,7 +1,5 @@
 """The tasks by name. All that is known of a task by its name follows from its class: ids, roads, levels."""
 
-from __future__ import annotations
-
 from sumo_env.config import ConfigError, nearest
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.exit import Exit

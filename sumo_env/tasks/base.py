@@ -1,7 +1,5 @@
 """What a task is: a road, a spawn law, a reward and an end. Each task is one short file beside this one."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -104,7 +102,7 @@ class Task:
     outputs: tuple[tuple[str, str], ...] = ()  # options and values of what those files would have SUMO write
     table: Config = {}  # what a Kinematics observation has where it is not said
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Task:
+    def __deepcopy__(self, memo: dict[int, object]) -> "Task":
         return self  # immutable
 
     def road(self, config: Config) -> Road:
@@ -122,7 +120,9 @@ class Task:
         """The ego at the start."""
         raise NotImplementedError
 
-    def vehicles(self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: Drivers) -> Specs:
+    def vehicles(
+        self, config: Config, road: Road, ego: VehicleSpec, rng: Random, drivers: "Drivers"
+    ) -> Specs:
         """The other vehicles at the start."""
         raise NotImplementedError
 
@@ -145,7 +145,7 @@ class Task:
         ]
         return [*vehicles, *cars]
 
-    def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
+    def spawns(self, config: Config, road: Road, seed: int, drivers: "Drivers") -> list[Spawn]:
         """Vehicles that are added later, or at the end of the warm-up (intersection only)."""
         return []
 
@@ -204,7 +204,7 @@ class Task:
         events = (*begun, *(event for event in drawn if event.time > now))
         return replace(scenario, events=events, tilt=None)  # nobody expects them to come more often
 
-    def varied(self, changes: Mapping[str, Mapping[str, Any]]) -> Task:
+    def varied(self, changes: Mapping[str, Mapping[str, Any]]) -> "Task":
         """This task with other values in its `risk_rates`, `risk_ranges` or `calibration`.
 
         >>> env.reset(seed=0, options={"risk_rates": {"cut_in": 0.2}})

@@ -1,7 +1,5 @@
 """Exit: cross six lanes to the right in time to leave a highway (highway-env ``exit-v0``)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

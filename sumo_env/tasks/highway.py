@@ -1,7 +1,5 @@
 """Multi-lane highway: drive fast, keep right, avoid the slower traffic ahead (highway-env ``highway-v0``)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

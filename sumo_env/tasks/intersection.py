@@ -1,7 +1,5 @@
 """Intersection: turn left across traffic that has right of way (highway-env ``intersection-v2``)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Merge: make room for a car that comes from a ramp (highway-env ``merge-v0``)."""
 
-from __future__ import annotations
-
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.networks.roads import LaneIndex, Road, merge

@@ -1,7 +1,5 @@
 """What `reset` may be asked for beside the configuration: other values of a task, or a scenario to start from."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

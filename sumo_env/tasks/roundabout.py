@@ -1,7 +1,5 @@
 """Roundabout: merge into a two-lane ring and drive through it (highway-env ``roundabout-v1``)."""
 
-from __future__ import annotations
-
 import math
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError

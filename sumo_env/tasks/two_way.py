@@ -3,8 +3,6 @@
 The reward has no crash term, as in highway-env: a crash only ends the episode. Return is not safety here.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError

@@ -1,7 +1,5 @@
 """U-turn: overtake in and around a 180-degree bend (highway-env ``u-turn-v1``, by the paper's author)."""
 
-from __future__ import annotations
-
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, u_turn
 from sumo_env.streams import Random

@@ -5,8 +5,6 @@ junction model. A few settings per task (`Calibration`) bring their traffic clos
 Risky drivers have the same parameters from wider ranges (`RiskRanges`), so dose 0 *is* regular traffic.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -114,7 +112,7 @@ class Driver:
         attributes: Mapping[str, object],
         speed_mode: int | None = None,
         lane_change_mode: int | None = None,
-    ) -> Driver:
+    ) -> "Driver":
         """This driver with attributes of SUMO's vType, such as ``{"carFollowModel": "Krauss", "accel": 1.3}``.
 
         Raises:

@@ -10,8 +10,6 @@ A vehicle crosses ahead of another one that arrives more than jmTimegapMinor aft
 the time of the crossing (8.4 s from rest at the intersection), so jmTimegapMinor is the critical gap less this time.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from math import inf

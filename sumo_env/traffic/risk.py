@@ -5,8 +5,6 @@ seeded events. Even a risky driver looks whether there is room to cut in and whe
 without that, most events would be crashes among the traffic itself, far from the ego.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import cos, sin

@@ -4,8 +4,6 @@ A scenario is drawn once from named random streams, in highway-env's coordinates
 the same value is placed into SUMO and into highway-env, which makes their comparison a paired one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -66,7 +64,7 @@ class VehicleSpec(NamedTuple):  # dozens are made in every episode, a dataclass 
     timer: float = 0.0
     concerns_ego: bool = True
 
-    def __deepcopy__(self, memo: dict[int, object]) -> VehicleSpec:
+    def __deepcopy__(self, memo: dict[int, object]) -> "VehicleSpec":
         return self  # immutable
 
     @property
@@ -215,7 +213,7 @@ class Scenario:
     further: tuple[str, ...] = ()
     tilt: Tilt | None = None
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Scenario:
+    def __deepcopy__(self, memo: dict[int, object]) -> "Scenario":
         return self  # immutable
 
     @property
@@ -244,7 +242,7 @@ class Scenario:
         """Likewise, with those that come later."""
         return (*self.specs, *(spawn.vehicle for spawn in self.spawns))
 
-    def with_drivers(self, other: Callable[[Driver], Driver]) -> Scenario:
+    def with_drivers(self, other: Callable[[Driver], Driver]) -> "Scenario":
         """This scenario with another driver in every vehicle but learning cars: what `other` makes of each driver."""
 
         def changed(spec: VehicleSpec) -> VehicleSpec:
@@ -261,7 +259,7 @@ class Scenario:
         others = [spec for spec in self.vehicles if not (spec.id in self.further or spec.is_obstacle)]
         return lifetimes(others, self.spawns, pace(self.simulation_frequency, self.policy_frequency))
 
-    def tilted(self, tilt: Tilt) -> Scenario:
+    def tilted(self, tilt: Tilt) -> "Scenario":
         """This scenario with further events near learning cars; SUMO's own traffic brings them as it comes."""
         further = () if self.traffic is not None else tilt.further(self.lifetimes, self.seed)
         events = tuple(sorted((*self.events, *further), key=lambda event: event.time))

@@ -1,7 +1,5 @@
 """What SUMO's own schemas list: attributes of vehicle types, options of configurations."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 from collections.abc import Mapping

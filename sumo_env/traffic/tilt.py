@@ -5,8 +5,6 @@ scenario stay as they are. Further ones are drawn in advance, from random stream
 their vehicle is near: together they have the rate that is asked for, whatever the learning cars do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import inf, log

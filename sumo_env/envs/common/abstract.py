@@ -1,7 +1,5 @@
 """`AbstractEnv`, which the classes of highway-env's names share."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

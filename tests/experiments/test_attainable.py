@@ -14,7 +14,6 @@ from experiments.study.compute.foresight import batch_of_one, search
 from experiments.study.design import attainable as design
 from experiments.study.design.arms import scenario_seed
 from experiments.study.design.levels import env_config
-from experiments.support.errors import UserError
 from experiments.support.files import read_json, write_json
 
 
@@ -110,12 +109,3 @@ def test_a_score_is_the_way_from_a_constant_action_to_the_best_policy(stored: Pa
     scores = design.scores(pd.DataFrame(rows, columns=["task", "level_name", "traffic", "return"]))
     assert scores.tolist()[:2] == [1.0, -0.5]
     assert scores[2:].isna().all()  # where no policy beats a constant action, and where nothing is stored
-
-
-WRONG = [{"width": 0}, {"scenarios": 1}, {"policies": ("careful",)}, {"tasks": ("nowhere",)}]
-
-
-@pytest.mark.parametrize("wrong", WRONG, ids=str)
-def test_what_makes_no_sense_is_refused(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    with pytest.raises(UserError, match=next(iter(wrong)).removesuffix("s")):
-        attainable.batches(attainable.Options(out=tmp_path, **wrong))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from experiments import attainable, rare, report, takeover, validate, watch
 from experiments import evaluate as command
-from experiments import rare, report, validate, watch
+from experiments.study.compute.entrants import entrant_of
 from experiments.study.compute.evaluate import evaluate
 from experiments.study.design import experiment
 from experiments.study.design.levels import choose_levels, choose_tasks
@@ -29,6 +31,7 @@ from tests.processes import ended
 FILES = {
     "mine.py": "class Mine:\n    def __init__(self, env): pass\n    def act(self, observation): return 4\n",
     "model.zip": "no model",
+    "pictures.py": "def make(env):\n    raise ValueError('trained for pictures')\n",
     "outcomes.py": "from experiments.analysis.plan import Outcome\nnothing = Outcome('Nothing', '', 0, 1)\n"
     "crashed = Outcome('Crashed', '', 0, 1, of=len)\n",
     "frozen/analysis.json": "",
@@ -64,6 +67,30 @@ RARE: list[tuple[dict[str, Any], str]] = [
     *(({"rates": rates}, "LOW:HIGH") for rates in ("1e-4:x", "0", "1:2:3")),
     ({"executor": "cloud"}, "executor"),
 ]
+TAKEOVER: list[tuple[dict[str, Any], str]] = [
+    ({"task": "u-turm"}, "u-turn"),
+    ({"level": "4"}, "level"),
+    ({"traffics": ("risk",)}, "risky"),
+    ({"others": ("careful",)}, "others"),
+    ({"scenarios": 0}, "--scenarios is at least 1"),
+    ({"first_scenario": -1}, "--first-scenario is from 0"),
+    ({"within": ()}, "--within is"),
+    ({"workers": 0}, "--workers is"),
+    ({"config": ("policy_frequency",)}, "--config takes KEY=VALUE"),
+    ({"config": ("target_speeds=3",)}, "it belongs in config"),
+    ({"config": ('action={"type":"DiscreteMetaAction","longitudinal":false}',)}, "choose meta-actions"),
+    ({"a": "slower,idle"}, "as many of both, not 2 and 1"),
+    ({"a": "planner", "b": "sumo"}, "one of the two has to lead"),
+    ({"b": "pictures.py:make"}, "pictures.py:make cannot make a policy: ValueError: trained for pictures"),
+    ({"b": "highway-50/control"}, "trained for u-turn"),
+    ({"b": "none/control"}, "unknown policy"),
+]
+ATTAINABLE: list[tuple[dict[str, Any], str]] = [
+    ({"width": 0}, "width"),
+    ({"scenarios": 1}, "scenarios"),
+    ({"policies": ("careful",)}, "policies"),
+    ({"tasks": ("nowhere",)}, "nowhere"),
+]
 
 
 def smoke(**asked: Any) -> Callable[[], Any]:
@@ -87,6 +114,11 @@ def evaluate_card(policy: str, **asked: Any) -> None:
 def how_rare(policy: str = "slower", task: str = "u-turn", **asked: Any) -> None:
     usual: dict[str, Any] = {"rates": "0.3,1", "dose": 0.3, "episodes": 80, "out": Path("results")}
     rare.rare(rare.Options((policy,), task, **{**usual, **asked}), [])
+
+
+def taken_over(**asked: Any) -> None:
+    usual = takeover.Options("faster", "careful", "u-turn", traffics=("risky",))
+    takeover.takeover(replace(usual, **asked), [])
 
 
 def empty() -> None:
@@ -124,7 +156,13 @@ ROWS: list[tuple[Callable[[], Any], str]] = [
     (partial(evaluate_card, "."), "has weights:"),
     (partial(evaluate_card, "carefull", tasks=("u-turn",)), "did you mean 'careful'"),
     (partial(evaluate_card, "highway-50/control", tasks=("u-turn",)), "cannot drive u-turn"),
+    *((partial(entrant_of, policy, "u-turn", "3"), word) for policy, word in [
+        ("mine.py", "mine.py is no zip file; what makes a policy in a Python file is named as mine.py:make"),
+        ("results/mine", "no directory results/mine"), ("u-turn-3/contrl", "'u-turn-3/contrl': did you mean"),
+    ]),
     *((partial(how_rare, **asked), word) for asked, word in RARE),
+    *((partial(taken_over, **asked), word) for asked, word in TAKEOVER),
+    *((partial(attainable.batches, attainable.Options(**asked)), word) for asked, word in ATTAINABLE),
     # results and what is made of them
     (lambda: load(Path("nowhere")), "no results"),
     (lambda: watch.watch(watch.Options(Path("nowhere"), scenario=-1)), "counts from 0"),
@@ -154,12 +192,11 @@ def test_what_is_asked_for_is_refused_in_one_line(call, word: str, tmp_path: Pat
     assert not Path("results").exists()
 
 
-def test_help_is_shown_even_where_packages_are_missing() -> None:
-    """Beside the sentence about what has to be installed."""
-    lines = (
-        "import runpy, sys",
-        "sys.modules['tyro'], sys.argv = None, ['evaluate.py', '--help']",
-        "runpy.run_path('experiments/evaluate.py', run_name='__main__')",
-    )
-    done = ended("-c", "\n".join(lines))
-    assert done.returncode == 2 and "frozen test" in done.stdout and "tyro not installed" in done.stderr
+@pytest.mark.parametrize(("typed", "shown"), [("sweep.py", ""), ("evaluate.py --help", "frozen test")])
+def test_what_is_not_installed_is_told_in_a_line_beside_the_help(typed: str, shown: str) -> None:
+    """After ``pip install .`` alone."""
+    code = "import runpy, sys; sys.modules['tyro'] = sys.modules['pandas'] = None; "
+    code += f"sys.argv = {typed.split()}; runpy.run_path('experiments/' + sys.argv[0], run_name='__main__')"
+    done = ended("-c", code)
+    assert done.returncode == 2 and shown in done.stdout and len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("error: pandas, tyro not installed") and "make setup" in done.stderr

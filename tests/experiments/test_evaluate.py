@@ -181,23 +181,6 @@ def test_who_drives_where() -> None:
     assert entrant_of("{task}-{level}.zip", "highway", "50").name == "highway-50.zip"
 
 
-@pytest.mark.parametrize(
-    ("policy", "words"),
-    [
-        ("mine.py", "mine.py is no zip file; .* named as mine.py:make"),
-        ("results/mine", "there is no directory results/mine"),
-        ("u-turn-3/contrl", "did you mean 'u-turn-3/control'|unknown policy"),
-    ],
-)
-def test_what_is_no_policy_is_told_from_a_misspelt_one(
-    policy: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "mine.py").touch()
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(UserError, match=words):
-        entrant_of(policy, "u-turn", "3")
-
-
 def test_of_stored_agents_the_last_one_drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     key: dict[str, Any] = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
     key["env_config"] = {"observation": {"type": "Kinematics", "vehicles_count": 3}}

@@ -18,10 +18,6 @@ from experiments.support.errors import UserError
 from experiments.support.files import read_json
 
 OPTIONS = takeover.Options("faster", "careful", "u-turn", traffics=("risky",), scenarios=6)
-MAKE = """
-def make(env):
-    raise ValueError("trained for pictures")
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -53,39 +49,6 @@ def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_pa
     assert read_json(tmp_path / "takeover.json")["answers"] == found["answers"]
     again = {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
     assert again.keys() == files.keys() and sum(again[path] != files[path] for path in files) == 1
-
-
-@pytest.mark.parametrize(
-    ("wrong", "word"),
-    [
-        ({"task": "u-turm"}, "u-turn"),
-        ({"level": "4"}, "level"),
-        ({"traffics": ("risk",)}, "risky"),
-        ({"others": ("careful",)}, "others"),
-        ({"scenarios": 0}, "--scenarios is at least 1"),
-        ({"first_scenario": -1}, "--first-scenario is from 0"),
-        ({"within": ()}, "--within is"),
-        ({"workers": 0}, "--workers is"),
-        ({"config": ("policy_frequency",)}, "--config takes KEY=VALUE"),
-        ({"config": ("target_speeds=3",)}, "it belongs in config"),
-        ({"config": ('action={"type":"DiscreteMetaAction","longitudinal":false}',)}, "choose meta-actions"),
-        ({"a": "slower,idle"}, "as many of both, not 2 and 1"),
-        ({"a": "planner", "b": "sumo"}, "one of the two has to lead"),
-        ({"b": "mine.py:make"}, "mine.py:make cannot make a policy: ValueError: trained for pictures"),
-        ({"b": "highway-50/control"}, "trained for u-turn"),
-        ({"b": "none/control"}, "unknown policy"),
-    ],
-    ids=str,
-)  # fmt: skip
-def test_what_cannot_be_compared_is_refused_in_a_sentence(
-    wrong: dict[str, Any], word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("mine.py").write_text(MAKE)
-    with pytest.raises(UserError, match=word) as error:
-        takeover.takeover(replace(OPTIONS, **wrong), [])
-    assert "\n" not in str(error.value)
-    assert {path.name for path in tmp_path.iterdir() if path.is_dir()} <= {"__pycache__"}  # of mine.py
 
 
 def test_agents_of_a_directory_are_paired_by_training_seed(tmp_path: Path, monkeypatch) -> None:

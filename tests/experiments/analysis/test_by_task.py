@@ -38,7 +38,7 @@ def episodes(results: Results) -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def table(episodes: pd.DataFrame) -> pd.DataFrame:
-    return by_task(episodes)
+    return by_task(episodes, outcomes={**COLUMNS, **SURROGATES})
 
 
 def plain_means(rows: pd.DataFrame) -> pd.Series:
@@ -47,10 +47,12 @@ def plain_means(rows: pd.DataFrame) -> pd.Series:
     scores = rows.assign(
         hard_crash=(rows["crashed"] == 1) & (rows["crash_closing_speed"] >= 10),
         entered=rows["distance"] >= crossing,
+        close=rows["min_ttc"] < 1.0,
     )
     agents = scores.groupby(["task", "level", "seed"])
     value = agents.mean(numeric_only=True)
     value["crashes_per_100_km"] = 1e5 * agents["crashed"].sum() / agents["distance"].sum()
+    value["near_misses_per_km"] = 1e3 * agents["near_misses"].sum() / agents["distance"].sum()
     return value.groupby(["task", "level"]).mean().groupby("task").mean().mean()
 
 
@@ -89,19 +91,7 @@ def test_it_has_the_intervals_of_the_effects(
             assert same[column].astype(float).tolist() == pytest.approx(
                 same[f"{column} then"].astype(float).tolist(), nan_ok=True
             )
-    shown = analysis.by_task[~analysis.by_task["outcome"].isin(SURROGATES)]
-    assert len(shown) == (table["traffic"] != "only-parameters").sum() < len(analysis.by_task)
-
-
-def test_near_misses_per_km_are_ratios_of_sums_of_each_agent(episodes: pd.DataFrame) -> None:
-    found = by_task(episodes, outcomes=SURROGATES).query("tested_on == 'sumo' and scope == 'roundabout'")
-    for row in found.query("outcome == 'near_misses_per_km'").to_dict("records"):
-        there = episodes[(episodes["task"] == "roundabout") & (episodes["tested_on"] == "sumo")]
-        there = there[there["traffic"] == row["traffic"]]
-        for arm, side in (("control", "mean_against"), ("treatment", "mean_arm")):
-            sums = there[there["arm"] == arm].groupby(["level", "seed"])[["near_misses", "distance"]].sum()
-            assert row[side] == pytest.approx(1e3 * (sums["near_misses"] / sums["distance"]).mean())
-    assert len(found) == 2 * 3  # traffics
+    assert len(analysis.by_task) == (table["traffic"] != "only-parameters").sum()
 
 
 def test_an_episode_is_close_below_one_second() -> None:

@@ -103,14 +103,10 @@ class TestPrimary:
 
     def test_holm_is_over_all_ten(self) -> None:
         found = ten(study({"u-turn": (-0.1, 0.0)}, np.random.default_rng(2))).sort_values("p")
-        assert found["p_adjusted"].iloc[0] == pytest.approx(min(10 * found["p"].iloc[0], 1.0))
-        assert found["p_adjusted"].is_monotonic_increasing
-
-    def test_without_effects_one_study_in_twenty_finds_any(self) -> None:
-        random, repeats = np.random.default_rng(3), 60
-        places = {key: arms for k in range(repeats) for key, arms in study({}, random, str(k)).items()}
-        wrong = ten(places).groupby("backend")["verdict"].agg(lambda side: (side != "open").any()).sum()
-        assert wrong <= stats.binom.ppf(1 - 1e-4, repeats, 0.05)
+        expected = (found["p"] * np.arange(10, 0, -1)).cummax().clip(upper=1.0)
+        assert found["p_adjusted"].tolist() == pytest.approx(expected.tolist())
+        # of two below .05 one stays
+        assert (found["p"] < 0.05).sum() == 2 and found["verdict"].tolist() == ["less"] + ["open"] * 9
 
 
 def trained(task: str, level: int, returns: Any) -> dict[str, Any]:
@@ -173,7 +169,8 @@ STAGED = {"u-turn": (1, 2), "highway": (1,)}
     ],
 )
 def test_a_study_is_reported_while_it_runs(there: Any, settings: set[str], tmp_path: Any) -> None:
-    for cell in synthetic.write(tmp_path, {"u-turn": (1, 2)}, seeds=2, tests=6, preset="small"):
+    asked: dict[str, Any] = {"seeds": 2, "tests": 6, "preset": "small", "baselines": ("careful",)}
+    for cell in synthetic.write(tmp_path, {"u-turn": (1, 2)}, **asked):
         if not there(cell):
             (tmp_path / "cells" / f"{cell.name}.parquet").unlink()
     found = analyse(load(tmp_path))

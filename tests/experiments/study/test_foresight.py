@@ -6,7 +6,6 @@ from contextlib import closing
 from itertools import product
 from typing import Any
 
-import numpy as np
 import pytest
 
 from agents.policies import Policy
@@ -85,16 +84,3 @@ def test_with_a_narrow_beam_the_search_finds_less_and_the_same_again() -> None:
     setting = Setting("two-way", 1)
     narrow, again, wide = (setting.search(3, 1.0, width) for width in (2, 2, 256))
     assert narrow == again and narrow.best.value < wide.best.value
-
-
-@pytest.mark.slow
-def test_the_two_way_road_cannot_be_driven_at_its_densest_with_highway_env_s_speeds() -> None:
-    """With a slower target speed it can: 15+6 vehicles."""
-
-    def impossible(task: str) -> float:
-        setting = Setting(task, -1)
-        return float(
-            np.mean([setting.search(n, risk, 64).safe is None for n in range(6) for risk in (0.0, 1.0)])
-        )
-
-    assert impossible("two-way") > 0.5 > impossible("two-way-brakes")

@@ -15,12 +15,14 @@ from tests.experiments.computed import sweep_of
 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cells and episodes are computed in a thread, which starts at once."""
+    """Cells and episodes are computed in a thread, which starts at once, on simulators that are not checked."""
     for module in ("cells", "batches"):
         opened = f"experiments.study.compute.{module}.open_executor"
         monkeypatch.setattr(opened, lambda *_: (ThreadPoolExecutor(1), 1))
     opened = "experiments.study.compute.frozen_test.LocalExecutor"
     monkeypatch.setattr(opened, lambda _: ThreadPoolExecutor(1))
+    for command in ("attainable", "doses", "evaluate", "rare", "takeover", "train", "validate"):
+        monkeypatch.setattr(f"experiments.{command}.check_dynamics", lambda _: None)
 
 
 @pytest.fixture(scope="class")

@@ -21,7 +21,6 @@ from experiments.support.files import read_json, write_json
 def stored(here: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """In place of results/attainable.json."""
     monkeypatch.setattr(design, "FILE", tmp_path / "attainable.json")
-    monkeypatch.setattr(attainable, "check_dynamics", lambda _: None)
     design.stored.cache_clear()
     yield tmp_path / "attainable.json"
     design.stored.cache_clear()

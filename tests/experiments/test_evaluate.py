@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,6 @@ def make(env):
 def short(here: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Two scenarios of each group, driven in this process, and no entries; returns the file for these."""
     monkeypatch.setattr("sumo_env.benchmark.QUICK", 2)
-    monkeypatch.setattr(evaluate, "check_dynamics", lambda _: None)
     monkeypatch.setattr(evaluate, "ENTRIES", tmp_path / "entries.json")
     return tmp_path / "entries.json"
 
@@ -179,20 +177,6 @@ def test_who_drives_where() -> None:
         "u-turn": "u-turn-3/treatment"
     }
     assert entrant_of("{task}-{level}.zip", "highway", "50").name == "highway-50.zip"
-
-
-def test_of_stored_agents_the_last_one_drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    key: dict[str, Any] = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
-    key["env_config"] = {"observation": {"type": "Kinematics", "vehicles_count": 3}}
-    records = {name: {"key": key, "timing": {"finished": f"1 May 0{k}"}} for k, name in enumerate("bca")}
-    store = SimpleNamespace(records=lambda: records, weights=lambda name: tmp_path)
-    monkeypatch.setattr("experiments.study.compute.entrants.Store", lambda _: store)
-    assert entrant_of(str(tmp_path), "u-turn", "3").config == key["env_config"]
-    before = entrant_of(str(tmp_path), "u-turn", "3")
-    records["d"] = {"key": key, "timing": {"finished": "1 May 09"}}  # as the folder is trained in
-    assert (before.name, entrant_of(str(tmp_path), "u-turn", "3").name) == ("a", "d")
-    with pytest.raises(UserError, match="trained for highway"):
-        entrant_of(str(tmp_path), "highway", "50")
 
 
 def test_the_numbers_of_a_card_are_those_of_its_episodes() -> None:

@@ -74,8 +74,6 @@ def small(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rare, "BATCH", 4)
     monkeypatch.setattr(rare, "PILOT", 4)
     monkeypatch.setattr(doses, "DOSES", ("regular", "risky"))
-    for command in (attainable, doses, evaluate, rare, takeover, train, validate):
-        monkeypatch.setattr(command, "check_dynamics", lambda _: None)
 
 
 def every_command(task: str, home: Path) -> None:

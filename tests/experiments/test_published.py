@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -20,46 +18,22 @@ from experiments.study.results import store
 from experiments.study.results.schema import EPISODES
 
 
-def test_of_several_agents_that_of_the_lowest_seed_is_published(monkeypatch, tmp_path: Path) -> None:
-    """And in the lightest setting all."""
-    key, places = (
-        {"backend": "sumo", "task": "u-turn", "arm": "control"},
-        product(((1, "3"), (4, "12")), (9, 10)),
-    )
-    cells = {
-        f"{name}-{k}": {"key": {**key, "level": level, "level_name": name, "seed": k}}
-        for (level, name), k in places
-    }
-    here: Any = SimpleNamespace(
-        agents=lambda: cells, weights=str, sweeps=lambda: [{"command": "", "cells": cells}]
-    )
-    file, kept = tmp_path / "agents.npz", dict[str, Any]()
-    monkeypatch.setattr(publish, "Store", lambda _: here)
-    monkeypatch.setattr(publish, "published", lambda _, name, __: ({"risky": {"crash_rate": name}}, name))
-    monkeypatch.setattr(
-        publish.pretrained, "save", lambda found, _: (kept.update(found), file.write_bytes(b""))
-    )
-    publish.main(tmp_path, file)
-    assert {label: name for label, (_, name) in kept.items()} == {
-        "u-turn-12/control": "12-9", "u-turn-3/control": "3-9", "u-turn-3/control-s10": "3-10"
-    }  # fmt: skip
-
-
 @pytest.mark.slow
 def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch, here: None) -> None:
-    """With its card, and driving as it did but for its weights' half precision, also where it observes the time."""
+    """With its card, and driving as it did but for its weights' half precision, also where it observes the time.
+
+    Of several agents that of the lowest seed, and in the lightest setting all.
+    """
     monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))  # train.py's
     file, settings = tmp_path / "agents.npz", {"intersection": "intersection-10", "u-turn": "u-turn-3"}
-    for seeds, task in enumerate(settings, start=1):
-        options = replace(
-            train.default(out=tmp_path), tasks=(task,), arms=("control",), updates=60, seeds=seeds
-        )
-        train.train(options, ["--arms", "control"])
+    several: dict[str, Any] = {"seeds": 2, "first_seed": 9, "levels": (1, 4)}
+    for task, more in zip(settings, ({}, several), strict=True):
+        one = replace(train.default(out=tmp_path), tasks=(task,), arms=("control",), updates=60)
+        train.train(replace(one, **more), ["--arms", "control"])
     publish.main(tmp_path, file)
-    assert list(agents.cards(file)) == [
-        *(f"{setting}/control" for setting in settings.values()),
-        "u-turn-3/control-s1",
-    ]
+    of_u_turn = ["u-turn-12/control", "u-turn-3/control", "u-turn-3/control-s10"]
+    assert list(agents.cards(file)) == ["intersection-10/control", *of_u_turn]
+    assert ["-s9-" in agents.cards(file)[name]["cell"] for name in of_u_turn] == [True, True, False]
     for task, setting in settings.items():
         card = agents.card(setting, "control", file)
         assert card["time_observed"] == (13 if task == "u-turn" else 0)  # as long as its training

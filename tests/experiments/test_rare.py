@@ -27,7 +27,6 @@ OPTIONS = rare.Options(("slower",), "u-turn", rates="0.3,1", dose=0.3, episodes=
 def few(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rare, "BATCH", 40)
     monkeypatch.setattr(rare, "PILOT", 20)
-    monkeypatch.setattr(rare, "check_dynamics", lambda _: None)
 
 
 def stored(directory: Path) -> dict[str, Any]:

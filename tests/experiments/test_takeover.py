@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from experiments import takeover
-from experiments.study.compute.entrants import several
+from experiments.study.compute.entrants import entrant_of, several
 from experiments.study.compute.takeover import COLUMNS
 from experiments.support.errors import UserError
 from experiments.support.files import read_json
@@ -23,7 +23,6 @@ OPTIONS = takeover.Options("faster", "careful", "u-turn", traffics=("risky",), s
 @pytest.fixture(autouse=True)
 def few(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(takeover, "BATCH", 4)
-    monkeypatch.setattr(takeover, "check_dynamics", lambda _: None)
 
 
 @pytest.mark.slow
@@ -52,11 +51,12 @@ def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_pa
 
 
 def test_agents_of_a_directory_are_paired_by_training_seed(tmp_path: Path, monkeypatch) -> None:
+    """Where one is asked for, the last one drives."""
     (tmp_path / "cells").mkdir()
     key: dict[str, Any] = {"kind": "agent", "backend": "sumo", "task": "u-turn", "level_name": "3"}
     key["env_config"] = {"observation": {"type": "Kinematics"}}
     records = {
-        f"{arm}-s{seed}": {"key": {**key, "seed": seed}, "timing": {"finished": str(seed)}}
+        f"{arm}-s{seed}": {"key": {**key, "seed": seed}, "timing": {"finished": f"{seed:02}"}}
         for arm in ("control", "treatment")
         for seed in (11, 9)
     }
@@ -65,7 +65,14 @@ def test_agents_of_a_directory_are_paired_by_training_seed(tmp_path: Path, monke
     monkeypatch.setattr("experiments.study.compute.entrants.Store", lambda _: store)
     found = several(f"idle,{tmp_path}/control", "u-turn", "3")
     assert [one.name for one in found] == ["idle", "control-s9", "control-s11"]
-    assert takeover.observation_of(found) == key["env_config"]
+    assert (
+        takeover.observation_of(found) == key["env_config"] == entrant_of(str(tmp_path), "u-turn", "3").config
+    )
+    before = entrant_of(str(tmp_path), "u-turn", "3")
+    records["later"] = {"key": key, "timing": {"finished": "12"}}  # as the folder is trained in
+    assert (before.name, entrant_of(str(tmp_path), "u-turn", "3").name) == ("treatment-s11", "later")
+    with pytest.raises(UserError, match="trained for highway"):
+        entrant_of(str(tmp_path), "highway", "50")
     records["treatment-s9"]["key"]["env_config"] = {
         "observation": {"type": "Kinematics", "vehicles_count": 3}
     }

@@ -57,7 +57,7 @@ def test_an_update_stores_the_driven_tasks_and_keeps_the_others(
 WHERE = ["engine", "task", "traffic", "ego"]
 
 
-def test_a_rate_is_of_the_episodes_of_one_simulator_dose_and_ego(tmp_path, monkeypatch) -> None:
+def test_a_rate_is_of_the_episodes_of_one_simulator_dose_and_ego(tmp_path, monkeypatch, here: None) -> None:
     rates = {"regular": 0.1, "dose50": 0.25, "risky": 0.5}
 
     def driven(engine: str, traffic: str, other: float) -> pd.DataFrame:
@@ -69,7 +69,6 @@ def test_a_rate_is_of_the_episodes_of_one_simulator_dose_and_ego(tmp_path, monke
     others = {"sumo": 1.0, REFERENCE: 0.0}
     every = pd.concat(driven(engine, traffic, other) for engine, other in others.items() for traffic in rates)
     monkeypatch.setattr(doses.episodes, "run", lambda *_: every)
-    monkeypatch.setattr(doses, "check_dynamics", lambda _: None)
     found = doses.doses(doses.Options(tmp_path, tasks=("u-turn",)))
     for engine, other in others.items():
         for traffic, rate in rates.items():
@@ -82,7 +81,6 @@ def test_a_rate_is_of_the_episodes_of_one_simulator_dose_and_ego(tmp_path, monke
 @pytest.mark.slow
 def test_without_events_dose_0_is_the_same_and_dose_1_is_not(tmp_path: Path, monkeypatch, here: None) -> None:
     monkeypatch.setattr(doses, "DOSES", ("regular", "risky"))
-    monkeypatch.setattr(doses, "check_dynamics", lambda _: None)
     doses.doses(doses.Options(tmp_path, tasks=("u-turn",), scenarios=3, workers=1))
     table = pd.read_csv(tmp_path / "doses.csv")
     assert set(table["engine"]) == {engine.name for engine in doses.ENGINES}

@@ -10,9 +10,8 @@ import pandas as pd
 
 from experiments.analysis.effects import adjusted, contrasts
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
-from experiments.analysis.scores import Arm, Arms, Setting, arms_of, with_outcomes
+from experiments.analysis.scores import Arms, Setting
 from experiments.study.design.sheet import GRID
-from experiments.study.results.loaded import Results
 
 PAIR = ("treatment", "control")
 
@@ -64,8 +63,3 @@ def crashes(
 
 def effects(arms: Mapping[Setting, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
     return adjusted(contrasts(arms, {PAIR: [(o, t) for o in OUTCOMES for t in TERMS]}), plan)
-
-
-def arms_in(results: Results) -> dict[Setting, dict[str, Arm]]:
-    episodes = with_outcomes(results)
-    return arms_of(episodes[episodes["kind"] == "agent"])

@@ -14,13 +14,13 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.claims import claims
 from experiments.analysis.comparable import comparable
 from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means, slopes
-from experiments.analysis.estimate import Estimate, equivalence, interval, linear
+from experiments.analysis.estimate import interval, linear
 from experiments.analysis.gates import THRESHOLDS
 from experiments.analysis.plan import OUTCOMES, STUDY, Outcome, as_data
 from experiments.study.design.sheet import SHEETS
 from experiments.study.results.loaded import Results, load
 from tests.experiments import synthetic
-from tests.experiments.analysis.made_up import PAIR, agents, arms_in, effects, find
+from tests.experiments.analysis.made_up import PAIR, agents, effects, find
 
 
 class TestPlan:
@@ -110,12 +110,6 @@ class TestEffects:
         rows = effects({("sumo", "highway", 1, "50"): {"treatment": arm, "control": arm}})
         found = find(rows, outcome="crashed", term="regular")
         assert (found["status"], bool(np.isnan(found["p"]))) == (status, status != "ok")
-
-    def test_no_crash_in_both_arms_is_equivalence(self, results: Results) -> None:
-        found = effects(arms_in(replace(results, episodes=results.episodes.assign(crashed=False))))
-        row = find(found, task="highway", level=1, outcome="crashed", term="regular")
-        assert row["estimate"] == 0 and row["low"] < 0 < row["high"]
-        assert equivalence(Estimate(*(row[name] for name in Estimate._fields)), 0.05) < 0.05
 
     def test_the_time_to_a_crash_is_at_most_the_episodes(self, results: Results, analysis: Analysis) -> None:
         rows = results.episodes.query(

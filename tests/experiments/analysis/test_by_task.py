@@ -12,7 +12,7 @@ import pytest
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.by_task import COLUMNS, SURROGATES, by_task
 from experiments.analysis.effects import ESTIMATE, MEANS, contrasts, means
-from experiments.analysis.plan import DEFAULT
+from experiments.analysis.plan import DEFAULT, OUTCOMES
 from experiments.analysis.scores import arms_of, with_outcomes
 from experiments.study.design import attainable
 from experiments.study.design.sheet import GRID, SHEETS
@@ -100,10 +100,11 @@ def test_an_episode_is_close_below_one_second() -> None:
 
 
 def test_a_share_of_almost_no_crashes_has_an_interval(episodes: pd.DataFrame) -> None:
-    """Where nobody crashes hard, the difference is 0 and its interval is not."""
-    calm = episodes.assign(hard_crash=0.0)
-    rows = by_task(calm).query("outcome == 'hard_crash' and scope == 'u-turn'")
-    assert (rows["estimate"] == 0).all() and (rows["low"] < 0).all() and (rows["high"] > 0).all()
+    """Where nobody crashes, or hard, the difference is 0 and its interval is not, but within the margin."""
+    calm = episodes.assign(crashed=0.0, hard_crash=0.0)
+    rows = by_task(calm).query("outcome in ('crashed', 'hard_crash') and scope == 'u-turn'")
+    assert set(rows["outcome"]) == {"crashed", "hard_crash"} and (rows["estimate"] == 0).all()
+    assert (rows["low"] < 0).all() and rows["high"].between(0, OUTCOMES["crashed"].margin, "neither").all()
 
 
 def test_an_agent_that_is_lost_at_home_counts_nowhere(episodes: pd.DataFrame) -> None:

@@ -15,28 +15,18 @@ from experiments.study.compute.cells import CellTask
 from experiments.study.compute.train import CURVE, learning_curve, train_cell
 from experiments.study.design.arms import EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.design.cell import Cell
-from experiments.study.design.experiment import Experiment
 from tests.agents.networks import weights
 from tests.experiments.fake_env import FakeEnv, make_env
+from tests.experiments.study.test_experiment import cells
 
 PROFILE = {"network": "dueling", "updates": 60, "steps_per_update": 2, "warm_up": 40, "batch_size": 8}
 
 
 def cell(arm: str, **profile: object) -> Cell:
-    asked = Experiment(
-        preset="own",
-        about="",
-        tasks=("u-turn",),
-        levels=(1,),
-        seeds=1,
-        episodes=3,
-        gate_episodes=3,
-        arms=(arm,),
-        learners=lambda _: {**PROFILE, **profile},
-        first_seed=2,
-        first_scenario=50,
-    )
-    return replace(asked.cells()[0], env_config={"duration": 10})
+    few: dict[str, Any] = {"seeds": 1, "episodes": 3, "gate_episodes": 3, "arms": (arm,)}
+    few |= {"first_seed": 2, "first_scenario": 50, "learners": lambda _: {**PROFILE, **profile}}
+    [one, *_] = cells({"u-turn": (1,)}, **few)
+    return replace(one, env_config={"duration": 10})
 
 
 @pytest.fixture

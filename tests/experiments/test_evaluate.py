@@ -134,7 +134,8 @@ def test_what_a_policy_drove_before_it_failed_is_kept(
     assert "Not all was driven" in (tmp_path / evaluate.PAGE).read_text()
 
 
-def test_a_task_that_is_not_frozen_is_tested_beside_rules(short: Path, tmp_path: Path) -> None:
+def test_a_task_that_is_not_frozen_is_tested_beside_rules(short: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(evaluate, "POLICIES", ("idle", "careful"))
     asked = evaluate.Options("slower", tasks=("merge",), quick=True, out=tmp_path)
     assert evaluate.evaluate(asked, []) == 0
     page = (tmp_path / evaluate.PAGE).read_text()

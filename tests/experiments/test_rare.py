@@ -105,7 +105,7 @@ def test_a_simulator_that_has_changed_is_named_before_anything_is_driven(monkeyp
     monkeypatch.undo()
     rates = TASKS["u-turn"].risk_rates
     monkeypatch.setattr(type(TASKS["u-turn"]), "risk_rates", type(rates)(brake=1.0))
-    with pytest.raises(UserError, match="does not behave"):
+    with pytest.raises(UserError, match="task u-turn on the backend sumo does not behave"):
         rare.rare(replace(OPTIONS, out=tmp_path / "new"), [])
     assert not (tmp_path / "new").exists()
 

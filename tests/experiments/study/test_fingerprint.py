@@ -53,12 +53,9 @@ def test_a_learner_that_learns_otherwise_is_named_before_a_sweep_begins(monkeypa
         check_learners(agents)
 
 
-def test_a_simulator_that_behaves_otherwise_is_named_before_a_sweep_begins(monkeypatch) -> None:
-    check_dynamics([("sumo", "u-turn"), ("highway-env", "u-turn"), ("sumo", "a task of the user's own")])
-    rates = TASKS["u-turn"].risk_rates
-    monkeypatch.setattr(type(TASKS["u-turn"]), "risk_rates", type(rates)(brake=1.0))
-    with pytest.raises(UserError, match="task u-turn on the backend sumo does not behave"):
-        check_dynamics([("sumo", "u-turn")])
+def test_what_has_no_fingerprint_is_not_checked() -> None:
+    """What behaves otherwise is named before anything is driven: tests/experiments/test_rare.py."""
+    check_dynamics([("highway-env", "u-turn"), ("sumo", "a task of the user's own")])
 
 
 def test_of_a_new_task_the_simulators_that_have_it_are_added_alone(monkeypatch, tmp_path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import children, is_alive, python, started, wait_for
+from tests.processes import children, is_alive, python_again, started, wait_for
 
 # Workers in a call into C that never gives the interpreter back, as in a compiler.
 HOLD = """
@@ -84,4 +84,4 @@ def test_a_stopped_run_says_how_to_go_on_and_leaves_no_process(tmp_path: Path, n
 
 
 def test_experiments_can_be_imported_without_fcntl() -> None:
-    python("-c", "import sys; sys.modules['fcntl'] = None; import experiments.sweep")
+    python_again("-c", "import sys; sys.modules['fcntl'] = None; import experiments.sweep")

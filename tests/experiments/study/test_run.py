@@ -72,7 +72,6 @@ def test_processes_are_recycled(tmp_path):
     ("fault", "reason"),
     [
         ("kill", "killed by SIGKILL"),
-        ("segfault", "killed by SIGSEGV"),
         ("exit", "ended with exit status 7"),
         ("lose", "OSError: the surroundings fail"),
         pytest.param("hold", "it hung: no sign of life", marks=pytest.mark.slow),

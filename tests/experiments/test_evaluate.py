@@ -21,14 +21,18 @@ from sumo_env.benchmark import SETTINGS, TRAFFICS
 from sumo_env.networks.lanes import WIDTH
 from sumo_env.tasks import get_task
 
-MAKE = """
+OWN = """
 class Slow:
     def act(self, observation):
+        if self.env.unwrapped.config["risk"] and self.env.unwrapped.scene.time > 2:
+            FAULT
         return 4
 
 
 def make(env):
-    return Slow()
+    policy = Slow()
+    policy.env = env
+    return policy
 """
 
 
@@ -47,7 +51,7 @@ def taken(policy: str, tmp_path: Path, **options: Any) -> dict[str, Any]:
 
 
 def test_a_policy_of_one_s_own_gets_the_card_of_the_rule_that_it_is(short: Path, tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(MAKE)
+    (tmp_path / "mine.py").write_text(OWN.replace("FAULT", "pass"))
     own = taken(f"{tmp_path}/mine.py:make", tmp_path)
     assert own["rows"] == taken("slower", tmp_path)["rows"]
     places = [(row["traffic"], row["level"], row["episodes"]) for row in own["rows"]]
@@ -99,21 +103,6 @@ def test_the_worst_crash_of_a_task_is_filmed_beside_a_driver_without_one(
     assert "ppo-u-turn.gif" in capsys.readouterr().out
 
 
-FAILS = """
-class Sometimes:
-    def act(self, observation):
-        if self.env.unwrapped.config["risk"] and self.env.unwrapped.scene.time > 2:
-            RAISE
-        return 4
-
-
-def make(env):
-    policy = Sometimes()
-    policy.env = env
-    return policy
-"""
-
-
 @pytest.mark.parametrize(
     ("fault", "words"),
     [("raise KeyError('oh')", "KeyError: 'oh' (mine.py, line 5)"), ("return 1, None", "predict")],
@@ -121,7 +110,7 @@ def make(env):
 def test_what_a_policy_drove_before_it_failed_is_kept(
     fault: str, words: str, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "mine.py").write_text(FAILS.replace("RAISE", fault))
+    (tmp_path / "mine.py").write_text(OWN.replace("FAULT", fault))
     asked = evaluate.Options(f"{tmp_path}/mine.py:make", tasks=("u-turn",), quick=True, out=tmp_path)
     assert evaluate.evaluate(asked, []) == 1
     card = json.loads((tmp_path / evaluate.CARD).read_text())

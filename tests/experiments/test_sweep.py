@@ -26,6 +26,7 @@ from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
 from tests.experiments.fake_env import FakeEnv, make_env
+from tests.experiments.test_errors import FILES
 from tests.processes import ROOT, children, python, started
 
 
@@ -225,11 +226,6 @@ class Mine(nn.Module):
     def forward(self, x):
         return self.layers(x)
 """
-POLICY = """
-class Mine:
-    def __init__(self, env): pass
-    def act(self, observation): return 4
-"""
 
 
 def replayed(directory: Path, arm: str) -> int:
@@ -343,7 +339,7 @@ def test_a_study_of_another_learner(tmp_path, here):
 def test_policies_of_the_users_own_get_cells_of_their_own(tmp_path, here):
     stable_baselines3 = pytest.importorskip("stable_baselines3")
     file, zipped = tmp_path / "mine.py", tmp_path / "model.zip"
-    file.write_text(POLICY)
+    file.write_text(FILES["mine.py"])  # as slower
     stable_baselines3.DQN("MlpPolicy", make_env("sumo", "u-turn"), device="cpu").save(zipped)
     assert run(tmp_path / "results", policy=(f"{file}:Mine", str(zipped))) == 0
     results = load(tmp_path / "results")

@@ -1,8 +1,14 @@
-"""What vehicles do in random episodes with many events is possible: they brake, accelerate and move sideways so far."""
+"""What vehicles do in random episodes with many events is possible: they brake, accelerate and move sideways so far.
+
+Whoever takes a vehicle's speed or lanes from SUMO gives them back: nothing commanded is left on other vehicles.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from contextlib import closing
+from functools import cache
 from math import cos, dist, inf, sin
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,16 +17,20 @@ import libsumo
 import numpy as np
 import pytest
 
+import sumo_env
 from sumo_env.contacts.measures import HORIZON, TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.env import DrivingEnv
 from sumo_env.networks.meeting import edge_of
 from sumo_env.scenarios import SumoDrivingEnv
+from sumo_env.scenarios.risky import RISKY_CLASSES, deviation
 from sumo_env.scenarios.simulator import FileSimulator
 from sumo_env.scene import Scene
-from sumo_env.sumo.vehicle import MOVING
+from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, NO_RULES
+from sumo_env.sumo.vehicle import MOVING, OF_SUMO, modes
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.risk import RiskEvent
+from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.plans import needs_sumo
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios import files
@@ -34,6 +44,8 @@ ROUNDING, RESIDUE = 1e-3, 0.01  # [m/s2]; [m] with which SUMO may end a lane cha
 PERCEIVED = (
     0.5  # [m/s2] SUMO's EIDM misjudges what it sees: without events, too, it accelerates 0.4 beyond its limit
 )
+FURTHER = 1e-6  # [m/s] that a speed may differ from SUMO's own
+WRECKED = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES
 
 
 class Seen(NamedTuple):
@@ -67,6 +79,47 @@ def aside(before: Seen, after: Seen) -> float:
     return min(abs(moved + width * number) for number in lanes)
 
 
+def own_modes(scenario: Scenario) -> Callable[[str], tuple[int, int]]:
+    """The speed mode and the lane-change mode in which SUMO drives a vehicle, by its name."""
+    specs = {spec.id: spec for spec in scenario.everybody}
+
+    @cache
+    def of(name: str) -> tuple[int, int]:
+        if (traffic := scenario.traffic) is None:
+            return WRECKED if specs[name].is_obstacle else modes(specs[name], scenario.calibration)
+        model = dict(traffic.models).get(libsumo.vehicle.getTypeID(name).partition("@")[0], "")
+        factors = deviation(traffic.ranges, scenario.risk, scenario.seed, name, model)
+        obeys = factors["gives_way"] or libsumo.vehicle.getVehicleClass(name) not in RISKY_CLASSES
+        return OF_SUMO if obeys else (NO_RULES, OF_SUMO[1])
+
+    return of
+
+
+def left_commanded(env: Any, own: Callable[[str], tuple[int, int]]) -> list[str]:
+    """Vehicles that are commanded, though no event does it, and crashed ones that are not.
+
+    SUMO's EIDM that gets its speed back within limits (`events.SETTLING`) brakes less than it would by itself.
+    """
+    scene, returning, of, found = (
+        env.scene,
+        env._car.episode.simulator._events._returning,
+        libsumo.vehicle,
+        [],
+    )
+    for row, name in enumerate(scene.ids):
+        if row < scene.cars or name in scene.in_event or not of.getLaneID(name):
+            continue
+        wanted = WRECKED if scene.crashed[row] else own(name)
+        if (now := (of.getSpeedMode(name), of.getLaneChangeMode(name))) != wanted:
+            found.append(f"{scene.time} s, {name}: modes {now}, not {wanted}")
+        # SUMO itself stops a vehicle at once at a red light that a surge has brought it to; modes tell then
+        speed, by_itself = of.getSpeed(name), of.getSpeedWithoutTraCI(name)
+        is_free = not (scene.crashed[row] or speed == 0.0 or name in returning)
+        if is_free and abs(speed - by_itself) > FURTHER:
+            found.append(f"{scene.time} s, {name}: {speed} m/s, by itself {by_itself}")
+    return found
+
+
 def least_ttc(scene: Scene) -> float:
     """Time to collision by the speeds of the scene [s]."""
     states = [state_of(scene, row) for row in range(len(scene))]
@@ -84,7 +137,7 @@ class Watch:
     """Drives episodes of random actions, and looks for what no vehicle can have done.
 
     Attributes:
-        faults: of vehicles that events command, or the agent, and movements sideways of all.
+        faults: of vehicles that events command, or the agent, and movements sideways of all; commands that are left.
         excess: of all others, what is beyond the limits of their types: braking and acceleration [m/s2].
     """
 
@@ -97,11 +150,13 @@ class Watch:
     def drive(self, env: Any) -> None:
         """One episode, which has begun."""
         rng, before, action, over = np.random.default_rng(env.scenario.seed), look(env), 0, False
+        own = own_modes(env.scenario)
         while not over:
             if env.scene.time % 1.0 < 0.05:
                 action = int(rng.integers(env.action_space.n))
             *_, crashed, late, info = env.step(action)
             over, after = crashed or late, look(env)
+            self.faults += left_commanded(env, own) if env.scenario.risk else []
             if not info["crashed"] and info["min_ttc"] != pytest.approx(least_ttc(env.scene), abs=1e-6):
                 self.faults.append(f"{env.scene.time} s: time to collision {info['min_ttc']}")
             acting = {env.ego_id, *env._car.episode.simulator._events._changes}
@@ -139,6 +194,13 @@ def check(watches: list[Watch]) -> None:
     regular, risky = watches
     assert regular.faults == risky.faults == []
     assert (risky.excess <= regular.excess + ROUNDING).all()
+
+
+def test_one_module_commands_vehicles() -> None:
+    """The session sets the first modes of what it adds."""
+    setters, package = re.compile(r"set(SpeedMode|LaneChangeMode|Speed)\("), Path(sumo_env.__file__).parent
+    found = {file.name for file in package.rglob("*.py") if setters.search(file.read_text(encoding="utf-8"))}
+    assert found == {"vehicle.py", "session.py"}
 
 
 def test_who_stands_changes_no_lane_but_goes_on_wanting_to() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import tempfile
-from itertools import groupby
+from itertools import cycle, groupby, islice
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from sumo_env.scenarios import NetworkTask, SumoDrivingEnv
 from sumo_env.scene import ON_ITS_WAY, Scene
 from sumo_env.sumo.process import SumoProcess
 from tests.sumo_env.plans import QUIET, SUMO_DRIVES, build, floating_car_data, needs_sumo, route_file
-from tests.sumo_env.rollout import drive
+from tests.sumo_env.rollout import assert_same_bits, drive
 from tests.sumo_env.scenarios.files import written
 from tests.sumo_env.scenarios.test_oracle import fronts
 
@@ -39,21 +39,13 @@ def seen(env: Any, seed: int, steps: int = 12) -> list[Scene]:
 
 
 def driven(env: Any, steps: int = 12) -> list[Scene]:
-    scenes = [env.scene]
-    for number in range(steps):
-        terminated = env.step([FASTER, IDLE, SLOWER, IDLE][number % 4])[2]
-        scenes.append(env.scene)
-        if terminated:
-            break
-    return scenes
+    actions = islice(cycle([FASTER, IDLE, SLOWER, IDLE]), steps)
+    return [env.scene, *(env.scene for _ in drive(env, actions))]
 
 
 def assert_same(ours: list[Scene], theirs: list[Scene]) -> None:
-    assert len(ours) == len(theirs) > 3
-    for one, other in zip(ours, theirs, strict=True):
-        assert (one.ids, one.place, one.light) == (other.ids, other.place, other.light)
-        for name in ("x", "y", "speed", "heading", "crashed"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert len(ours) > 3
+    assert_same_bits(tuple(ours), tuple(theirs))
 
 
 # -- one seed, one episode ---------------------------------------------------------------------------------

@@ -95,8 +95,6 @@ NAMES: dict[str, tuple[dict[str, str], Change]] = {  # other names of files, the
     "a comma as %2C": ({"n": "a,b.net.xml"}, says(net="a%2Cb.net.xml")),
     "a variable": ({"n": "grid.net.xml"}, says(net="${SUMO_ENV_NAME}.net.xml")),
     "a home": ({"n": "home/n.net.xml"}, says(net="~/n.net.xml")),
-    "the folder above": ({"n": "../n.net.xml"}, says(net="../n.net.xml")),
-    "umlauts": ({"r": "größe.rou.xml"}, says(routes="größe.rou.xml")),
     "no known ending": ({"n": "town.net", "r": "town.demand"}, says(net="town.net", routes="town.demand")),
     "no ending": ({"c": "town"}, says()),
     "all in a folder": (

@@ -1,11 +1,10 @@
 """Networks of a user's own, with nothing but what docs/own-parts.md names, and networks as they are found.
 
-Junctions without a gap, edges of a metre, compressed files, thousands of lanes.
+Junctions without a gap, edges of a metre, thousands of lanes.
 """
 
 from __future__ import annotations
 
-import gzip
 import random
 import re
 import shutil
@@ -157,11 +156,8 @@ def pieces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A network of hundreds of lanes, compressed."""
-    net = grid(tmp_path_factory.mktemp("town"), "--grid.number=6", "--grid.length=60", "-L=2")
-    packed = net.with_name("grid.net.xml.gz")
-    packed.write_bytes(gzip.compress(net.read_bytes()))
-    return packed
+    """A network of hundreds of lanes."""
+    return grid(tmp_path_factory.mktemp("town"), "--grid.number=6", "--grid.length=60", "-L=2")
 
 
 def walk(network: Network, rng: random.Random, count: int) -> list[str]:

@@ -7,7 +7,6 @@ import itertools
 import math
 from collections.abc import Iterator
 from contextlib import closing
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,9 +37,10 @@ def scenes(env: Any, actions: Any = 1) -> Iterator[tuple[Any, Any]]:
 
 
 def near(scene: Any, reach: float) -> set[str]:
-    """Vehicles within reach of a learning car, by plain arithmetic."""
+    """Vehicles within reach of a learning car, by plain arithmetic; no obstacles, and not the bicycles "b.0", ..."""
     places = dict(zip(scene.ids, zip(scene.x.tolist(), scene.y.tolist(), strict=True), strict=True))
-    cars, others = scene.ids[: scene.cars], [id for id in scene.ids[scene.cars :] if id[:8] != "obstacle"]
+    cars, others = scene.ids[: scene.cars], scene.ids[scene.cars :]
+    others = [name for name in others if not name.startswith(("obstacle", "b."))]
     return {name for name in others for car in cars if math.dist(places[name], places[car]) <= reach}
 
 
@@ -167,19 +167,12 @@ def test_on_own_scenarios_the_weight_is_that_of_events_that_are_drawn_as_vehicle
                 drawn = draw_events(rates, 0.2, ((name, 0.0),), seed_of, 30, f"risk events of {name}")
                 further = tilt.further(((name, 0.0),), seed_of, f"further risk events of {name}")
                 events += [*drawn, *further]
-            of_cars = [tuple(_without_bicycles(scene) for scene in pair) for pair in driven]
             rate = 0.2 * (rates.cut_in + rates.brake + rates.surge)
-            found, again = list(env.scene.near_events), recomputed(env, of_cars, events, rate)
+            found, again = list(env.scene.near_events), recomputed(env, driven, events, rate)
             del found[2], again[2]  # events of vehicles before they have come are not even drawn
             assert found == pytest.approx(again, abs=1e-9)
             total += env.scene.near_events.events
     assert total > 3
-
-
-def _without_bicycles(scene: Any) -> Any:
-    rows = [row for row, name in enumerate(scene.ids) if not name.startswith("b")]
-    ids = tuple(scene.ids[row] for row in rows)
-    return SimpleNamespace(ids=ids, x=scene.x[rows], y=scene.y[rows], cars=scene.cars, time=scene.time)
 
 
 def test_several_learning_cars_have_one_weight() -> None:

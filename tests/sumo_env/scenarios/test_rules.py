@@ -190,37 +190,23 @@ def test_a_junction_before_a_red_light_is_no_red_light(tmp_path: Path) -> None:
     env = SumoDrivingEnv(net, ego_route=["ab", "bc", "cd"], config={**QUIET, "duration": 90})
     env.reset(seed=0)
     show(env, "r")
-    seen = []
-    while not env.scene.place.ended:
-        info = env.step(FASTER)[-1]
-        seen.append((info["red_light"], env.scene.x[0] > 390.0))
+    seen = [(info["red_light"], env.scene.x[0] > 390.0) for *_, info in drive(env, FASTER)]
     assert [beyond for ran, beyond in seen if ran] == [True]
-
-
-def red_lights(env: SumoDrivingEnv) -> tuple[list[bool], bool]:
-    seen = []
-    for _ in range(900):
-        *_, over, _, info = env.step(FASTER)
-        seen.append(info["red_light"])
-        if over:
-            return seen, True
-    return seen, False
 
 
 def test_a_light_that_is_run_is_an_event_that_can_be_priced_and_can_end_an_episode(tmp_path: Path) -> None:
     net = road(tmp_path, "", light="traffic_light")
-    env = start(net, policy_frequency=10)
-    show(env, "r")
-    seen, _ = red_lights(env)
-    assert sum(seen) == 1 and env.scene.place.ended == "arrived"
-    env = start(net, policy_frequency=10, red_light_terminal=True, red_light_reward=-3)
-    show(env, "r")
-    seen, over = red_lights(env)
-    assert over and seen[-1] and env.ego_state.lane[0] != "ab:from"
-    assert env._reward(FASTER) < -2.0
-    env = start(net, policy_frequency=10)
-    show(env, "G")
-    assert not any(red_lights(env)[0])
+    ends = {"red_light_terminal": True, "red_light_reward": -3}
+    for letter, more in (("r", {}), ("r", ends), ("G", {})):
+        env = start(net, policy_frequency=10, **more)
+        show(env, letter)
+        *_, (_, reward, terminated, _, _) = results = list(drive(env, FASTER))
+        seen = [info["red_light"] for *_, info in results]
+        assert terminated and sum(seen) == (letter == "r")
+        if more:
+            assert seen[-1] and env.ego_state.lane[0] != "ab:from" and reward < -2.0
+        else:
+            assert env.scene.place.ended == "arrived"
 
 
 def test_a_red_light_that_turns_green_as_the_ego_passes_is_not_run(tmp_path: Path) -> None:

@@ -180,16 +180,18 @@ def test_traffic_may_vary_by_episode(town: Path) -> None:
     """Of files by SUMO's own factor; drawn traffic by its numbers. The same seed draws the same."""
     lists: dict[str, Any] = {"network": town.with_name("grid.net.xml"), "routes": [WAY], "ego_route": WAY}
     for arguments in ({"network": town, "ego_route": WAY}, lists):
-        counts = []
+        scenes = []
         for scale in ([0, 0], [1, 1], [0.5, 2]):
             config = {"warm_up": 60, "traffic_scale": scale}
             env = SumoDrivingEnv(**arguments, config=config)
             for seed in (0, 1, 0):
                 env.reset(seed=seed)
-                counts.append(len(env.scene))
+                scenes.append(env.scene)
             env.close()
+        counts = [len(scene) for scene in scenes]
         assert counts[:3] == [1, 1, 1] and min(counts[3:]) > 3
-        assert counts[6] == counts[8] and (counts[3], counts[4]) != (counts[6], counts[7])
+        assert_same_bits(scenes[6], scenes[8])
+        assert (counts[3], counts[4]) != (counts[6], counts[7])
 
 
 def test_outputs_go_nowhere_or_each_episode_has_its_own(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from sumo_env.config import ConfigError
 from sumo_env.networks import files
@@ -20,7 +19,7 @@ from sumo_env.networks.mapping import Network
 from sumo_env.scenarios import SumoDrivingEnv
 from sumo_env.simulator import SimulatorError
 from tests.sumo_env.plans import QUIET, SUMO_HOME, build, endings, grid, needs_sumo, route_file
-from tests.sumo_env.rollout import drive, observations
+from tests.sumo_env.rollout import drive
 
 pytestmark = needs_sumo
 
@@ -87,18 +86,6 @@ def test_ways_through_junctions_are_as_long_as_sumo_says(blocks: Path) -> None:
         length = env.sumo.lane.getLength(f"{start}_0")
         known = env.sumo.simulation.getDistanceRoad(start, length, end, 0.0, isDriving=True)
         assert way == pytest.approx(known, abs=0.01)
-
-
-@pytest.mark.slow
-def test_a_generated_network_is_driven(blocks: Path) -> None:
-    config = {"vehicles_count": 15, "risk": 1.0, "duration": 20}
-    env = SumoDrivingEnv(blocks, ROUTES, EGO, config, render_mode="rgb_array")
-    check_env(env, skip_render_check=True)
-    first = observations(env, 1, seed=3)
-    other = SumoDrivingEnv(blocks, ROUTES, EGO, config)  # in a worker
-    np.testing.assert_array_equal(observations(other, 1, seed=3), first)
-    picture = env.render()
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
 
 
 @pytest.mark.parametrize("frequency", [1, 10])

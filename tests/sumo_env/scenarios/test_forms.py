@@ -169,31 +169,20 @@ def assert_drives(config: Path, rows: Rows) -> None:
     assert len(scenes) > 8 and differences(scenes, rows, step) == []
 
 
-@pytest.mark.parametrize("name", CONFIGURATIONS)
-def test_configurations(name: str, net: Path, usual: Rows, tmp_path: Path) -> None:
-    config = written(tmp_path, net, CONFIGURATIONS[name](says()("")), {}, {})
-    assert_drives(config, usual)
-
-
-@pytest.mark.parametrize("name", TRAFFIC)
-def test_options(name: str, net: Path, tmp_path: Path) -> None:
-    config = written(tmp_path, net, TRAFFIC[name](says()("")), {}, {})
-    assert_drives(config, plain(config))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_names(name: str, net: Path, usual: Rows, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", [*CONFIGURATIONS, *NAMES])
+def test_forms_of_the_usual(name: str, net: Path, usual: Rows, tmp_path: Path, monkeypatch) -> None:
     """One of them, with a comma and a variable in the name of its folder, ``sumo`` cannot open."""
     monkeypatch.setenv("SUMO_ENV_NAME", "grid")
     monkeypatch.setenv("HOME", str(tmp_path / "in" / "home"))
-    names, change = NAMES[name]
+    names, change = NAMES.get(name) or ({}, CONFIGURATIONS[name])
     (tmp_path / "in").mkdir()
-    assert_drives(written(tmp_path / "in", net, change(""), names, {}), usual)
+    assert_drives(written(tmp_path / "in", net, change(says()("")), names, {}), usual)
 
 
-@pytest.mark.parametrize("name", CONTENTS)
-def test_contents(name: str, net: Path, tmp_path: Path) -> None:
-    config = written(tmp_path, net, says()(""), {}, CONTENTS[name])
+@pytest.mark.parametrize("name", [*TRAFFIC, *CONTENTS])
+def test_options_and_contents(name: str, net: Path, tmp_path: Path) -> None:
+    text = TRAFFIC.get(name, says())(says()(""))
+    config = written(tmp_path, net, text, {}, CONTENTS.get(name, {}))
     assert_drives(config, plain(config))
 
 

@@ -63,7 +63,6 @@ ENDS = {  # what ends the process of SUMO 1.28: a file, its ending, a word of th
         ".net.xml",
         "lane 0",
     ),
-    "a network as routes": ("<net/>", ".rou.xml", "this is a network"),
     "a network within": ('<a><net><edge id="e"/></net></a>', ".add.xml", "this is a network"),
     "include of nothing": ("<routes><include/></routes>", ".rou.xml", "include"),
     "include of itself": ('<a><include href="foreign.add.xml"/></a>', ".add.xml", "includes"),

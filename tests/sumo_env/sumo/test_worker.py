@@ -92,14 +92,6 @@ def test_a_killed_worker_is_told_and_replaced(begun: SumoProcess, number: int) -
     assert begun.pid != old and begun.step({"ego": COMMAND}).scene.time == 1.0
 
 
-def test_closing_ends_the_worker_and_may_be_repeated(begun: SumoProcess) -> None:
-    pid = begun.pid
-    begun.close()
-    begun.close()
-    assert ends(pid)
-    assert begun.reset(scenario()).time == 0.0  # as a simulator in this process could be
-
-
 def test_another_sumo_is_warned_about(monkeypatch: pytest.MonkeyPatch) -> None:
     process._check_version.cache_clear()
     monkeypatch.setattr(process, "version", lambda _: "1.27.1")

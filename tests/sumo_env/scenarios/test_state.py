@@ -134,7 +134,7 @@ def test_no_light_changes_before_the_seconds_that_are_said(tmp_path: Path, kind:
         env.reset(seed=3)
         said: list[float] = []  # until when [s] the present phase lasts, by what was said in it
         largest, changes, before = 0.0, 0, None
-        for _ in range(1500):
+        for _ in range(900):
             if env.step(IDLE if env.scene.light.distance > 40.0 else SLOWER)[2]:
                 break
             if env.scene.light.distance == np.inf:

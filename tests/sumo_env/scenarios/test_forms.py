@@ -159,13 +159,10 @@ def usual(net: Path, tmp_path_factory: pytest.TempPathFactory) -> Rows:
 
 def assert_drives(config: Path, rows: Rows) -> None:
     """That every vehicle is where ``sumo`` has it."""
-    env = SumoDrivingEnv(config, ego_vehicle="ego", config={"duration": 99})
-    try:
+    with closing(SumoDrivingEnv(config, ego_vehicle="ego", config={"duration": 99})) as env:
         env.reset(seed=7)
         scenes = driven(env, SECONDS)
         step = 1.0 / env.config["simulation_frequency"]
-    finally:
-        env.close()
     assert len(scenes) > 8 and differences(scenes, rows, step) == []
 
 

@@ -12,7 +12,6 @@ import pytest
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import get_task
-from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.situations import draw, drivers
 from tests.tasks import every_task
 
@@ -20,17 +19,12 @@ Start = Callable[..., DrivingEnv]
 IDLE = 1
 
 
-def calm(scenario: Scenario) -> Scenario:
-    """Nobody comes later."""
-    return replace(scenario, spawns=())
-
-
 # -- who drives --------------------------------------------------------------------------------------------
 
 
 @every_task
 def test_nothing_moves_unless_sumo_steps(start: Start, task: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    env = start(task, calm, seed=2)
+    env = start(task, lambda scenario: replace(scenario, spawns=()), seed=2)
     env.step(IDLE)
     monkeypatch.setattr(libsumo, "simulationStep", lambda *_: None)
     before = env.scene

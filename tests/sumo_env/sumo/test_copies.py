@@ -148,6 +148,7 @@ def no_fork(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_workers_and_copies_drive_the_same_episode(no_fork: None) -> None:
+    """Without risk nothing is imagined."""
     ids = ["sumo/roundabout-v0"] * 2
     with closing(gym.make(ids[0])) as here, closing(gym.make(ids[1])) as there:
         for env in (here, there):
@@ -159,9 +160,8 @@ def test_workers_and_copies_drive_the_same_episode(no_fork: None) -> None:
         copies.append(copy.deepcopy(copies[0]))
         copies += [env.unwrapped.imagine(5) for env in envs]
         for first, *others in zip(*(drive(env, [3, 1, 4]) for env in (*envs, *copies)), strict=True):
-            for other in others[:-2]:
+            for other in others:
                 assert_same_bits(first, other)
-            assert_same_bits(*others[-2:])
         for env in copies:
             env.close()
 
@@ -211,12 +211,10 @@ def test_copies_keep_no_further_commands_however_long_an_episode_is() -> None:
     assert len(kept) == 153
 
 
-def test_without_risk_nothing_is_imagined() -> None:
+def test_a_copy_may_be_made_before_the_first_episode() -> None:
     env = DrivingEnv("highway")
     early = copy.deepcopy(env)
     np.testing.assert_array_equal(env.reset(seed=0)[0], early.reset(seed=0)[0])
-    twin = env.imagine(7)
-    assert_same_bits(env.step(3), twin.step(3))
 
 
 # -- ends --------------------------------------------------------------------------------------------------

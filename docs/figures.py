@@ -4,8 +4,6 @@ docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under hig
 docs/img/collisions.png       how contacts are looked for
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

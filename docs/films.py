@@ -9,8 +9,6 @@ docs/img/scenarios.png        one moment of each environment in examples/scenari
 docs/img/films/town.gif is what the script of docs/scenarios.md writes.
 """
 
-from __future__ import annotations
-
 import copy
 import re
 import runpy

@@ -7,8 +7,6 @@ becomes the number of checks in experiments/validation/verdict.json. The words a
 committed, because GitHub shows them; ``--check`` compares alone. Numbers of frozen studies are plain text.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import sys

@@ -5,8 +5,6 @@ The other vehicles in the lightest traffic of each task, around the careful driv
 do not count: vehicles are placed faster than the limit and closer than they like, as in highway-env, and brake at once.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

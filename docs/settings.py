@@ -5,8 +5,6 @@ agent that was trained at this risk in the task's lightest traffic. Tasks have t
 traffic. ``make pages`` makes a table and a figure of the rows (`trainings`, `learning_curves`).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import closing

@@ -3,8 +3,6 @@
 xvfb-run -s "-screen 0 1280x900x24" python docs/windows.py      # needs openbox, the extras [window] and [gui]
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import time

@@ -3,8 +3,6 @@
 And highway-env's classes as they were: making its intersection writes other numbers into the class of all drivers.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

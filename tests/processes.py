@@ -1,7 +1,5 @@
 """Commands in processes of their own, and what processes there are, from /proc."""
 
-from __future__ import annotations
-
 import atexit
 import os
 import runpy

@@ -1,7 +1,5 @@
 """Markers of tests: of every task, of those that highway-env has, and of those that the study publishes numbers of."""
 
-from __future__ import annotations
-
 import pytest
 
 from experiments.study.design.sheet import GRID

@@ -1,7 +1,5 @@
 """What protects readers of the documentation: links, snippets and commands work, and what there is is named."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from ast import literal_eval

@@ -1,7 +1,5 @@
 """The scripts and the notebook in examples/ run, for a few steps."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

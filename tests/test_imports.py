@@ -1,7 +1,5 @@
 """The architecture: who may import whom, and what an import costs."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from graphlib import TopologicalSorter

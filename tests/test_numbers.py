@@ -1,7 +1,5 @@
 """Numbers and figures of the documentation are computed a second time, from the stored results."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """The wheel: what it installs, and that nothing beside a user's script can take the place of a part of it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

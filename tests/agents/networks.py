@@ -1,7 +1,5 @@
 """Networks that learn in no time."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The learner against independent computations, exact values and known failures."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from functools import partial

@@ -1,7 +1,5 @@
 """What agents refuse: a row is a call, and the word in its ValueError that says what to do."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """Every learner keeps the contract: the same training again, a policy in a file, progress in environment steps."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace

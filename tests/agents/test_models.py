@@ -1,7 +1,5 @@
 """Networks: gradients, the mask of the attention, and standardised inputs."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

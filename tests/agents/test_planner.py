@@ -1,7 +1,5 @@
 """The planner, on a road without SUMO: a car that waits somewhere ahead and may be there or not."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any, ClassVar
 
@@ -43,13 +41,13 @@ class Road(gym.Env[np.ndarray, int]):
         self.is_over = crashed or self.steps >= 6
         return np.array([self.place]), float(action), crashed, self.steps >= 6, {"crashed": crashed}
 
-    def __deepcopy__(self, memo: dict[Any, Any]) -> Road:
+    def __deepcopy__(self, memo: dict[Any, Any]) -> "Road":
         twin = copy.copy(self)
         self.open_copies.add(id(twin))
         memo["kept", id(twin)] = twin
         return twin
 
-    def imagine(self, seed: int) -> Road:
+    def imagine(self, seed: int) -> "Road":
         twin = copy.deepcopy(self)
         twin.strikes_at = None if seed % 2 else twin.strikes_at and 2
         twin.places = (4,)

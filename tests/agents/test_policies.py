@@ -1,7 +1,5 @@
 """Greedy policies and their files, one for each or one for many; policies that were not made here."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Drivers that do not learn: what they choose, and how the careful one fares on highway-env's own tasks."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

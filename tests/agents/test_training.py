@@ -1,7 +1,5 @@
 """The training loop: budgets, reproducibility, interruption, and the failures it must make visible."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """On a processor of another kind: the doctor, the first steps of the golden episodes, and copies of an episode."""
 
-from __future__ import annotations
-
 import copy
 import platform
 

@@ -1,7 +1,5 @@
 """Sweeps of the fake environment that are computed in this process, cell by cell."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any

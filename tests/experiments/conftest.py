@@ -1,7 +1,5 @@
 """Commands whose tests are not about processes, and a finished sweep of the fake environment."""
 
-from __future__ import annotations
-
 import shutil
 from collections import defaultdict
 from collections.abc import Iterator

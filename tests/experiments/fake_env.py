@@ -3,8 +3,6 @@
 Fast (20 us a step) and deterministic in its seed, so that the engine can be tested without a simulator.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from types import SimpleNamespace
 from typing import Any, ClassVar

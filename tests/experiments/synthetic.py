@@ -3,8 +3,6 @@
 An agent's chance to crash and its reward are its arm's plus a deviation of its own (its training seed's).
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path

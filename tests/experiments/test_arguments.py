@@ -1,7 +1,5 @@
 """Any arguments of the sweep: cells, or one line that says what is wrong."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What can be had in a setting: the command, and the marks that returns are scored by."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The benchmark: its arithmetic on rates that are given, and a slice of each kind of driver."""
 
-from __future__ import annotations
-
 import json
 import time
 from contextlib import nullcontext
@@ -51,7 +49,9 @@ class Given(nullcontext):
     def __init__(self, ctx: object) -> None:
         super().__init__(self)
 
-    def Driver(self, backend: str, task: str, config: Any = None, batch: int = 1, threads: int = 1) -> Given:
+    def Driver(
+        self, backend: str, task: str, config: Any = None, batch: int = 1, threads: int = 1
+    ) -> "Given":
         assert backend != "highway-env" or config is None or REFERENCE_CONFIG.items() <= config.items()
         self.rates = self.RATES[backend] * batch, self.RATES[backend] * batch * threads
         return self

@@ -1,7 +1,5 @@
 """What the commands refuse: a row is what a user asks for, and the word of the UserError that says what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

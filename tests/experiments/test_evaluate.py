@@ -1,7 +1,5 @@
 """The frozen test from the command line: who may take it, what a card says, and when cards may be compared."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

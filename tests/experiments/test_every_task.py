@@ -1,7 +1,5 @@
 """Every command takes every task, one of a user's own as well: each at its smallest size, one after the other."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re

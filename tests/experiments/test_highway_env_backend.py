@@ -1,7 +1,5 @@
 """highway-env driven by scenarios: its own code on our traffic, and the interface of `sumo_env`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Agents in the file that is published: which, with what on their cards, and driving as they did."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

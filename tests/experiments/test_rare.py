@@ -1,7 +1,5 @@
 """The command that asks how often a policy crashes where events are rare."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from pathlib import Path

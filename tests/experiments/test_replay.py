@@ -1,7 +1,5 @@
 """One stored episode again: the same numbers, as a picture, an animation or a scenario for SUMO."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from importlib.metadata import version

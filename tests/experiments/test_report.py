@@ -1,7 +1,5 @@
 """The report: complete, self-contained, the same for the same cells, and readable when results are not complete."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

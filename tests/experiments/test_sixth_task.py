@@ -1,7 +1,5 @@
 """A task of which nothing is published: it is studied where it is asked for alone, and what lacks a task says so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

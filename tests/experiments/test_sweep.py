@@ -1,7 +1,5 @@
 """The sweep: complete, resumable after any kill, shared between processes, and clear about what goes wrong."""
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -265,7 +263,6 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
 
 
 LEARNER = """
-from __future__ import annotations
 from dataclasses import dataclass
 import numpy as np
 import torch

@@ -1,7 +1,5 @@
 """The command that compares two drivers from equal critical moments."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Validation on a few scenarios and what it stores of whole tasks; what a dose does, by the same episodes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -7,8 +7,6 @@ scenes/TASK.json has four policy steps of two seeds, lightest and densest level,
 change of behaviour changes these files in the same commit, regenerated and reviewed; the message says why.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

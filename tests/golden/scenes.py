@@ -1,7 +1,5 @@
 """The first policy steps of an episode under fixed actions: what the environment shows and where the vehicles are."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -3,8 +3,6 @@
 Of whole episodes: experiments/study/test_fingerprint.py.
 """
 
-from __future__ import annotations
-
 from tests.golden import scenes
 from tests.golden.regenerate import read
 from tests.tasks import every_task

@@ -3,8 +3,6 @@
 The shipped networks are what the plans give, and contain what the simulation relies on.
 """
 
-from __future__ import annotations
-
 import filecmp
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Every lane of every task against highway-env's own objects."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """States of highway-env at random, as `sumo_env` sees them: a scene and the ego's state."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

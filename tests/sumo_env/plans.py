@@ -1,7 +1,5 @@
 """SUMO networks for tests, made by the tools of eclipse-sumo, and how episodes on them end."""
 
-from __future__ import annotations
-
 import subprocess
 import tempfile
 from collections.abc import Iterable, Sequence

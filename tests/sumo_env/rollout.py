@@ -1,7 +1,5 @@
 """An episode as numbers, printed by its digest: ``python -m tests.sumo_env.rollout JSON``."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

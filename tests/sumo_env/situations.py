@@ -1,7 +1,5 @@
 """Scenarios for tests: drawn as an environment draws them, then changed by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The frozen test: its scenarios are those that were frozen, and its traffics those of the study."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import replace
 from itertools import groupby

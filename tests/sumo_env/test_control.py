@@ -1,7 +1,5 @@
 """What the agent controls on SUMO, and what SUMO drives in its place."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 from typing import Any

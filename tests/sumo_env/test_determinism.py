@@ -1,7 +1,5 @@
 """The same seed is the same episode, bit for bit, whatever happened before and in whichever process."""
 
-from __future__ import annotations
-
 import json
 import os
 import threading

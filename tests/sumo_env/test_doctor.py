@@ -1,7 +1,5 @@
 """``python -m sumo_env``: what it says, and with which exit status."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """What is refused: a row is what a user does, the type of the error, and the word in it that says what to do."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import sys

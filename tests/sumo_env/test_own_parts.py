@@ -1,7 +1,5 @@
 """Tasks, drivers and options of a user's own, with nothing but what docs/own-parts.md names."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import random

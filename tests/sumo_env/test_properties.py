@@ -1,7 +1,5 @@
 """Any configuration and any action: an episode that ends, or one clear error."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Vector environments: equal to single ones, and steadfast when workers die."""
 
-from __future__ import annotations
-
 import os
 import signal
 import warnings

@@ -1,7 +1,5 @@
 """A study that is made up, and plans that others of them follow."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

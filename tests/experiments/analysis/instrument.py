@@ -7,8 +7,6 @@ prints the table that docs and tests quote. Crashes come from a probit model: an
 noise. What the planned tests claim holds over new agents *and* new scenarios.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

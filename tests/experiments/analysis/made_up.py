@@ -1,7 +1,5 @@
 """Scores that are made up, their effects, and one row of a table by its values."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -8,8 +8,6 @@ scenarios, agents of an arm that differ by a standard deviation, or are of two k
 known.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The analysis of cells, and of scores, that are made up and whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

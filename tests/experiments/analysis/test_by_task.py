@@ -1,7 +1,5 @@
 """The table of tasks: against plain pandas, against the effects of the plan, and what its means are made of."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Which settings have control agents that can drive, on made-up results with made-up marks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

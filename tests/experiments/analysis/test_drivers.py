@@ -1,7 +1,5 @@
 """How each driver does by itself: against plain pandas, and against an interval that one can compute by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Estimates and intervals against scipy, statsmodels and truths that are known; error rates: test_instrument.py."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Arms and tests beside the plan."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path

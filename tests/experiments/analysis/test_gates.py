@@ -1,7 +1,5 @@
 """The gates, one by one, on episodes made for them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 The short versions run with every test; the complete table (instrument.py, 2000 studies for each row) is long.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Crash probabilities from episodes whose events came more often, on a made-up road whose probabilities are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Plan 6 on made-up agents whose truth is known: the ten effects, its stages, and what it asks of the learner."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

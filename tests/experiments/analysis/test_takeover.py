@@ -1,7 +1,5 @@
 """Caution and skill: against numbers by hand, and against a known truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

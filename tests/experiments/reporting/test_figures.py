@@ -1,7 +1,5 @@
 """The figures of a report show the numbers that they are given."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from itertools import combinations, product

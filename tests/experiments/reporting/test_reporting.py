@@ -1,7 +1,5 @@
 """The tables that a report leads with, from small frames whose numbers one can compute in the head."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

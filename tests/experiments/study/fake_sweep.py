@@ -1,7 +1,5 @@
 """A sweep of the fake task, without its report: python fake_sweep.py DIRECTORY OPTIONS, which are JSON."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tasks for tests of the runner: each adds up a few numbers, and some die, hang or fail on the way."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

@@ -1,7 +1,5 @@
 """The search for actions without a contact finds one exactly where there is one."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from types import SimpleNamespace
@@ -53,7 +51,7 @@ class Grid:
             heading=0.0,
         )
 
-    def __deepcopy__(self, memo: object) -> Grid:
+    def __deepcopy__(self, memo: object) -> "Grid":
         twin = Grid(self.walls, self.ends, self.config["policy_frequency"])
         twin.state = self.state
         Grid.open += 1

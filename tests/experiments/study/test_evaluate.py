@@ -1,7 +1,5 @@
 """The row of a test episode, on which every published number stands."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """Ray and Slurm's interface give the same results, and lose nothing when a process or a node is killed."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """Experiments as data: names that do not shift, levels, shards, seeds."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Simulators and learners do what `fingerprints.json` says, and a change is named before a sweep begins."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Stored episodes of all kinds: a byte that has changed is never believed."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Files of other people run no code, and what a user can put right is said in a line."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

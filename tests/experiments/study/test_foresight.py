@@ -1,7 +1,5 @@
 """The search for the best sequences of actions of an episode of the replica."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from itertools import product
 from typing import Any

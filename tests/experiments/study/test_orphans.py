@@ -1,7 +1,5 @@
 """No worker outlives the command that started it, however that one ends and whatever the worker is doing."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal

@@ -1,7 +1,5 @@
 """Parts: read as the cells were, written once, added to by others, whole after any kill, and named when damaged."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

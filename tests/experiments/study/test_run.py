@@ -1,7 +1,5 @@
 """The runner: every task is computed once, whatever dies, hangs or fails; what cannot be is named."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import re

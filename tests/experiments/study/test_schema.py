@@ -1,7 +1,5 @@
 """What is stored is checked where it is read: right checksums do not make wrong contents right."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """Cells on disk: whole or absent, checked when read, loaded as tidy tables."""
 
-from __future__ import annotations
-
 import contextlib
 import pickle
 import shutil

@@ -1,7 +1,5 @@
 """Drivers from equal critical moments: every row of the record is recomputed without copies, by driving again."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import closing

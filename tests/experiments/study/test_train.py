@@ -1,7 +1,5 @@
 """Training of a cell: the traffic and scenarios that an arm meets, and the same bits twice."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """Unseen risk: the same cars in the same places, with one part of the risk alone or with drivers of another model."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pandas as pd

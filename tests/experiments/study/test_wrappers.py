@@ -1,7 +1,5 @@
 """What training changes about an environment: the end of its episodes, the time in view, the dose of risk."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Tables of episodes that nobody drove."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Verdicts: against which margin, by which rule, and what they are of."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

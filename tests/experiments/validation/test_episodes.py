@@ -1,7 +1,5 @@
 """What is driven, where it is stored, and that it is driven once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Keys, names and methods of highway-env: what is here is as in highway-env, and of the rest it is said why not."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

@@ -3,8 +3,6 @@
 Each test is one kind of script that was found in public repositories. What is checked is that it runs to its end.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

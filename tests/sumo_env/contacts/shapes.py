@@ -1,7 +1,5 @@
 """The independent truth: vehicles as shapely's polygons."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

@@ -1,7 +1,5 @@
 """The record of a crash, and how SUMO's reports and the geometry are joined."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

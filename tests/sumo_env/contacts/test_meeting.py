@@ -1,7 +1,5 @@
 """Contacts and times to collision where two vehicles can meet, and none where one road merely crosses another."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import closing

@@ -1,7 +1,5 @@
 """Outlines that touch where SUMO sees no collision: at lane changes, sideways, on ways through a junction."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from random import Random

@@ -4,8 +4,6 @@ An ego that acts at random drives through regular and risky traffic. What the si
 crashed vehicles of the scene) is compared with the distance of polygons along the trajectories between two sub-steps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Contacts against shapely's polygons, time to collision against stepping through time; headway, density by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

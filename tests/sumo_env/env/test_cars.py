@@ -1,7 +1,5 @@
 """Several learning cars: PettingZoo's environments, tuples as in highway-env, and one car alone."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """The environments as gymnasium and as users of highway-env know them."""
 
-from __future__ import annotations
-
 import copy
 import warnings
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The window of render_mode="human", on SDL's display that shows nothing, and without waiting for real time."""
 
-from __future__ import annotations
-
 import copy
 import sys
 from collections.abc import Iterator

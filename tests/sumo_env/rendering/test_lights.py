@@ -1,7 +1,5 @@
 """Traffic lights, stop lines and the line between directions, on SUMO's own networks: what SUMO says is shown."""
 
-from __future__ import annotations
-
 from ast import literal_eval
 from pathlib import Path
 from typing import Any

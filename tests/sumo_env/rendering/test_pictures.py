@@ -1,7 +1,5 @@
 """Pictures: what stands where, in which colour."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

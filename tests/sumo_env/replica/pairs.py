@@ -1,7 +1,5 @@
 """Episodes of the replica beside highway-env itself, step by step: from the same scenario, or from the same seed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 from typing import Any, NamedTuple

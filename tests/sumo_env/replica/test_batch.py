@@ -1,7 +1,5 @@
 """Batches of the replica: every environment drives the episodes of the single one with its seed, to the bit."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

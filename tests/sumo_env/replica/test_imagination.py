@@ -1,7 +1,5 @@
 """Copies for planners that do not know what drivers are like."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

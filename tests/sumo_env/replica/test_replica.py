@@ -3,8 +3,6 @@
 Risk events: what drivers look at, against `sumo_env.traffic.risk`, and what they do.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import os

@@ -1,7 +1,5 @@
 """A seed is the same episode in highway-env, unpatched, and in the environments replica/*."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

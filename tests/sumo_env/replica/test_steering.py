@@ -3,8 +3,6 @@
 `PYTHONPATH=. pytest -m long -s <this file>` drives two hundred episodes of each task and prints those that differ.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import product
 from typing import Any

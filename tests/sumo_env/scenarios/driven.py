@@ -4,8 +4,6 @@ KINDS: on which outlines touch where SUMO sees no collision. `drawn`: vehicles o
 and what changes or ends them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from random import Random
 

@@ -1,7 +1,5 @@
 """Five small scenarios in SUMO's own files, of the kinds that public ones are made of."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.sumo_env.plans import grid

@@ -1,7 +1,5 @@
 """Episodes in SUMO's own files: which car is the ego, what a seed repeats, and what can be asked of SUMO."""
 
-from __future__ import annotations
-
 import copy
 import tempfile
 from itertools import cycle, groupby, islice

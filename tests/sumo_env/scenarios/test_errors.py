@@ -1,7 +1,5 @@
 """What is refused of SUMO's own files: a row is what a user gives, the type of the error, and the word to act on."""
 
-from __future__ import annotations
-
 import os
 from contextlib import closing
 from pathlib import Path

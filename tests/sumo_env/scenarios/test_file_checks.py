@@ -1,7 +1,5 @@
 """Files of SUMO that somebody else wrote: they write nothing, open no connection, end no process and do not hang."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import socket

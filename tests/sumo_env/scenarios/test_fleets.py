@@ -1,7 +1,5 @@
 """Several learning cars among the vehicles of SUMO's own files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

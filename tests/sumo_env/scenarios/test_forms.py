@@ -1,7 +1,5 @@
 """Forms of configurations and files that people have: each drives as ``sumo`` does, or better where ``sumo`` fails."""
 
-from __future__ import annotations
-
 import gzip
 import re
 from collections.abc import Callable

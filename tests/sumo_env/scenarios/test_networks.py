@@ -3,8 +3,6 @@
 Junctions without a gap, edges of a metre, thousands of lanes.
 """
 
-from __future__ import annotations
-
 import random
 import re
 import shutil

@@ -1,7 +1,5 @@
 """SUMO drives its own files here as ``sumo`` does: every vehicle, with the same id, at the same place."""
 
-from __future__ import annotations
-
 import math
 import re
 import shlex

@@ -1,7 +1,5 @@
 """What a dose of risk does to the drivers of SUMO's own files."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack, closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path

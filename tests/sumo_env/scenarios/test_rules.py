@@ -1,7 +1,5 @@
 """What one may do on roads of other people: solid lines, turns, lights, driving on the left, lanes of other classes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -196,7 +194,7 @@ def test_a_junction_before_a_red_light_is_no_red_light(tmp_path: Path) -> None:
 
 def test_a_light_that_is_run_is_an_event_that_can_be_priced_and_can_end_an_episode(tmp_path: Path) -> None:
     net = road(tmp_path, "", light="traffic_light")
-    ends = {"red_light_terminal": True, "red_light_reward": -3}
+    ends: dict[str, Any] = {"red_light_terminal": True, "red_light_reward": -3}
     for letter, more in (("r", {}), ("r", ends), ("G", {})):
         env = start(net, policy_frequency=10, **more)
         show(env, letter)

@@ -3,8 +3,6 @@
 Lights also on a real crossing: what `info` says of them, and an ego that obeys.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 from itertools import chain, repeat

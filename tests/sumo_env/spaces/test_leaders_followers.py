@@ -1,7 +1,5 @@
 """Leaders and followers, what is left of a light, and the terms of a reward that are made of them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

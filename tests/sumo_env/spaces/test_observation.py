@@ -1,7 +1,5 @@
 """Our observations against highway-env's own, on states of highway-env; and features that it lacks, everywhere."""
 
-from __future__ import annotations
-
 import copy
 from itertools import chain
 from typing import Any

@@ -1,7 +1,5 @@
 """highway-env's pictures, grids and lidar: the originals on the same traffic, and on SUMO."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

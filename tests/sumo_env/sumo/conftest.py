@@ -1,7 +1,5 @@
 """SUMO in this process, given back after every test."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

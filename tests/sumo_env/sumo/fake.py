@@ -1,7 +1,5 @@
 """A simulator without SUMO, whose episodes do what a test asks for by their seed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

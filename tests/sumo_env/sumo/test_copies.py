@@ -1,7 +1,5 @@
 """Episodes that are copied: a copy goes on as the original does, to the last bit, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import itertools

@@ -1,7 +1,5 @@
 """Risk events on SUMO's vehicles: they happen, they end, and cut-ins and surges look before."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Exported episodes: SUMO itself opens them, with every car where it was."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from pathlib import Path

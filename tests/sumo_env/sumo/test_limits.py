@@ -3,8 +3,6 @@
 Whoever takes a vehicle's speed or lanes from SUMO gives them back: nothing commanded is left on other vehicles.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from contextlib import closing

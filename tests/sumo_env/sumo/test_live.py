@@ -1,7 +1,5 @@
 """SUMO's own window (live="sumo-gui"), on a display that nobody sees."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Folders, search paths and Pythons that other people have: the environments work in them, or say what is wrong."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Random small roads whose lanes part: whenever an ego begins to change lanes there, SUMO does not break down."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Any

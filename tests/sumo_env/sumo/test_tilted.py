@@ -1,7 +1,5 @@
 """Events near learning cars that come more often: their number, their likelihood ratio, and what stays as it was."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import math

@@ -1,7 +1,5 @@
 """SUMO drives the traffic: what it is told shows, nothing moves without it, and only few vehicles are commanded."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 The misuses run in a process of their own, because the wrong outcome is the end of that process.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """A simulator in a worker process: the same values, errors that travel, deaths that are told, nothing left behind."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import os

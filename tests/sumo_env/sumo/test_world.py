@@ -1,7 +1,5 @@
 """Episodes on SUMO: the ego's motion, contacts, crashed vehicles, and vehicles that come, go or do not matter."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Our roads, rewards and endings against highway-env's own, on states of highway-env; and the exit on SUMO."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import replace
 from itertools import product

@@ -3,8 +3,6 @@
 Risk events as values: how many a dose brings, when; and what a driver looks at before it does something.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

@@ -1,7 +1,5 @@
 """Measured drivers: what SUMO is given, and what its vehicles then do on the road, have the published distributions."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import replace
 from statistics import NormalDist

@@ -206,3 +206,20 @@ def test_holm_is_over_the_whole_family_of_tasks_and_traffics() -> None:
     assert found.loc[("u-turn", "risky", "caution"), "estimate"] == pytest.approx(-0.4, abs=0.1)
     words = analysis.claims(found.loc["u-turn", "risky"].reset_index(), NAMES, "p_holm")
     assert words["caution"] == "treated is more careful than control"
+
+
+@pytest.mark.slow
+def test_without_effects_one_study_in_twenty_claims_anything() -> None:
+    """Also where half of the agents of each arm are of another kind."""
+    wrong, tries = 0, 40
+    for number in range(tries):
+        rng = np.random.default_rng(number)
+        rows = [
+            drawn(rng, (two_optima, two_optima), scenarios=50).assign(task=task, traffic=traffic)
+            for task in "abcde"
+            for traffic in ("risky", "regular")
+        ]
+        found = analysis.of_tasks(pd.concat(rows))
+        said = [analysis.claims(own, NAMES, "p_holm") for _, own in found.groupby(["task", "traffic"])]
+        wrong += any("more" in word for words in said for word in words.values())
+    assert wrong <= stats.binom.ppf(1 - 1e-3, tries, 0.05)

@@ -12,7 +12,7 @@ from sumo_env.env import DrivingEnv
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.traffic.drivers import POOL, Driver
-from sumo_env.traffic.measured import ACCEL, DECEL, DELTA, TAU, MeasuredPool, Normal
+from sumo_env.traffic.measured import ACCEL, DECEL, DELTA, STOP_SIGN, TAU, MeasuredPool, Normal
 from tests.sumo_env.rollout import drive
 from tests.sumo_env.situations import draw
 from tests.tasks import every_task
@@ -128,7 +128,7 @@ CROSSINGS: dict[str, tuple[Way, Way]] = {
 def test_who_stands_at_the_intersection_takes_the_published_gaps(name: str) -> None:
     """None .7 s shorter, all .5 s longer: SUMO's estimate of a crossing differs by .3 s between turns and streams."""
     drivers = sorted(pool("intersection").drivers, key=lambda driver: float(driver.attributes[0][1]))
-    for driver in drivers[6:60:26]:
-        published = float(driver.attributes[0][1]) + pool("intersection").crossing
-        taken = [takes(driver, *CROSSINGS[name], published + more) for more in (-0.7, 0.5)]
+    for k in range(6, 60, 26):
+        published = STOP_SIGN.at((k + 0.5) / POOL)
+        taken = [takes(drivers[k], *CROSSINGS[name], published + more) for more in (-0.7, 0.5)]
         assert taken == [False, True], published

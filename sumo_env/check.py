@@ -42,7 +42,7 @@ def check_task(task: Task, config: Mapping[str, Any] | None = None, steps: int =
         where = f"the task {task.name!r}" + (f" at the level {level!r}" if level else "")
         try:
             faults = list(dict.fromkeys(_faults_of_scenarios(task, values)))
-            for dose in (values["risk"], 1.0):  # events act at 1
+            for dose in dict.fromkeys((values["risk"], 1.0)):  # events act at 1
                 if not faults:
                     at = {**values, "risk": dose}
                     faults = list(dict.fromkeys(_faults_of_episodes(task, at, steps)))

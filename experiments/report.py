@@ -30,7 +30,7 @@ import tyro
 
 from agents.plugins import load_object
 from experiments.analysis.analysis import analyse, as_json
-from experiments.analysis.effects import WORKING_COLUMNS
+from experiments.analysis.effects import WORKING_COLUMNS, between
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.reporting.page import page, render
 from experiments.study.design.levels import OwnTasks
@@ -73,7 +73,8 @@ def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
     directory = Path(directory)
     results = load(directory)
     analysis = analyse(results, own)
-    beside = {str(other): analyse(load(other)) for other in others}
+    further = {str(other): load(other) for other in others}
+    beside = {name: (analyse(one), between(results, one)) for name, one in further.items()}
     with writing(directory):
         variables = page(results, analysis, beside, own)
         write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())

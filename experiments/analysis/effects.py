@@ -18,18 +18,20 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.analysis import estimate
-from experiments.analysis.estimate import OK, SATURATED, Estimate
+from experiments.analysis.comparable import comparable
+from experiments.analysis.estimate import OK, SATURATED, Estimate, Mean
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
-from experiments.analysis.scores import Arms, Setting
+from experiments.analysis.scores import Arms, Setting, at_home
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.traffic import TRAFFICS
-from experiments.study.results.loaded import SETTING
+from experiments.study.results.loaded import SETTING, Results
 
 ALL_TASKS = "all tasks"
 ESTIMATE = list(Estimate._fields)
 COMPARISON = ["backend", "arm", "against"]
 QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
+SIGNS = {"treatment": 1.0, "control": -1.0}  # of the arms in an effect
 MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
 SHARES = ("crashed", "hard_crash", "entered")  # of episodes, so that their means have a least variance
 WORKING_COLUMNS = ["variance", "dof", "smallest"]
@@ -93,6 +95,30 @@ def _contrast(
     means = [*(float(table.mean()) for table in scores), *map(len, scores)]
     saturated = floored and all((tables == 1).all() for tables in tested)
     return {**found._asdict(), **dict(zip(MEANS, means, strict=True)), "saturated": saturated}
+
+
+def between(first: Results, other: Results) -> pd.DataFrame:
+    """How another folder's effects on the crash rate differ from a first one's, on the scenarios that both have.
+
+    Returns:
+        A row a task, level and traffic (term) in which both have agents of both arms: the columns of `Mean`.
+    """
+    folders = ((comparable(one)[0].episodes, sign) for one, sign in ((first, -1.0), (other, 1.0)))
+    rows = pd.concat(at_home(episodes).assign(sign=sign) for episodes, sign in folders)
+    rows = rows[(rows["kind"] == "agent") & rows["arm"].isin(SIGNS)]
+    rows = rows.assign(sign=rows["sign"] * rows["arm"].map(SIGNS), crashed=rows["crashed"].astype(float))
+    found = []
+    for place, agents in rows.groupby(["task", "level", "traffic"], sort=False):
+        four = agents.pivot(index=["arm", "sign", "seed"], columns="scenario", values="crashed").dropna(
+            axis=1
+        )
+        arms = [(own.to_numpy(), sign) for (_, sign), own in four.groupby(["arm", "sign"])]
+        if len(arms) == 4 and four.size and place[2] in TRAFFICS:
+            mean = estimate.linear(
+                arms, sum(estimate.binomial_floor(scores[np.newaxis]) for scores, _ in arms)
+            )
+            found.append({**dict(zip(("task", "level", "term"), place, strict=True)), **mean._asdict()})
+    return pd.DataFrame(found, columns=["task", "level", "term", *Mean._fields])
 
 
 def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:

@@ -34,13 +34,14 @@ TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 def page(
     results: Results,
     analysis: Analysis,
-    others: Mapping[str, Analysis],
+    others: Mapping[str, tuple[Analysis, pd.DataFrame]],
     own: Mapping[str, Outcome] | None = None,
 ) -> dict[str, Any]:
     """The templates' variables.
 
     Args:
-        others: analyses of further folders to compare with this one, by name. own: outcomes of the user's own in it.
+        others: analyses of further folders to compare with this one, by name, and how their effects differ
+            (`effects.between`). own: outcomes of the user's own in it.
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
     pairs = skill(results.directory)
@@ -50,7 +51,10 @@ def page(
         "backends": [backend(name, results, analysis, moments, own or {}) for name in names],
         "films": films(results.directory),
         "skill": pairs,
-        "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
+        "side_by_side": tables.side_by_side(
+            {str(results.directory): analysis, **{name: one for name, (one, _) in others.items()}},
+            {name: differences for name, (_, differences) in others.items()},
+        ),
         "notes": analysis.notes,
         "checks": checks(results),
         "directory": str(results.directory),

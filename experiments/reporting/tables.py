@@ -212,10 +212,10 @@ def gates(analysis: Analysis, backend: str) -> pd.DataFrame:
     return wide(pd.DataFrame(lines), ["setting"], lambda row: {row["arm"]: row["text"]})
 
 
-def side_by_side(analyses: Mapping[str, Analysis]) -> pd.DataFrame:
+def side_by_side(analyses: Mapping[str, Analysis], differences: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Effects on the crash rate in several folders, by name, over the settings that all of them have.
 
-    By task also the difference of another folder's effect from the first one's, as of independent agents and scenarios.
+    By task also how those of another folder differ from the first one's: `differences`, from `effects.between`.
     """
     frames = [
         chosen(
@@ -233,9 +233,9 @@ def side_by_side(analyses: Mapping[str, Analysis]) -> pd.DataFrame:
     weights = estimate.equal_task_weights(rows, ["backend", "task", "term"])
     of_tasks = [estimate.combine(rows, ["backend", "task", "term"], weights)]
     for other in others:
-        both, sign = rows[rows["backend"].isin([first, other])], rows["backend"].eq(other) * 2 - 1
-        between = estimate.combine(both, ["task", "term"], (weights * sign)[both.index])
-        of_tasks.append(between.assign(backend=f"{other} {MINUS} {first}", settings=between["settings"] // 2))
+        both = differences[other].merge(rows[["task", "level"]].drop_duplicates())
+        apart = estimate.combine(both, ["task", "term"], estimate.equal_task_weights(both, ["task", "term"]))
+        of_tasks.append(apart.assign(backend=f"{other} {MINUS} {first}"))
     each = in_order(pd.concat(of_tasks), "task", "term")
     return wide(
         pd.concat([found.sort_values("term", kind="stable"), each]).rename(columns={"backend": "folder"}),

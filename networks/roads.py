@@ -30,23 +30,30 @@ class Road:
 
     `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `arguments` are
     those of `road`, beside the name. Roads of the same value are equal.
+
+    obstacles: centres of boxes of 2 m by 2 m that stand on the road [m], parallel to x.
+    ends: nodes at which vehicles leave the road.
+    net_file: its SUMO network, a file of this folder or a path of a user's own (`networks.mapping`).
+    oncoming: whether the lane to the left is that of oncoming traffic.
+    clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
+    joined: whether lanes continue others, so that highway-env's connected lanes make a difference.
+    regulated: whether highway-env applies right of way (``RegulatedRoad``).
+    turned_by_matrix: whether highway-env computes lanes by turning those of one arm (``IntersectionEnv._make_road``).
+    stops: lanes with a stop line at their end, on SUMO's own networks, and the lights there, from right to left: of
+        each way on the id of the traffic light and its place among that light's letters; none where one gives way.
     """
 
     name: str
     lanes: Mapping[LaneIndex, Lane]
     arguments: tuple[tuple[str, float], ...] = ()
-    obstacles: tuple[Point, ...] = ()  # centres of boxes on the road [m], 2 m by 2 m, parallel to x
-    ends: tuple[str, ...] = ()  # nodes at which vehicles leave the road
-    net_file: str = ""  # its SUMO network, a file of this folder or a user's own path (`networks.mapping`)
-    oncoming: bool = False  # whether the lane to the left is that of oncoming traffic
-    # whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles)
+    obstacles: tuple[Point, ...] = ()
+    ends: tuple[str, ...] = ()
+    net_file: str = ""
+    oncoming: bool = False
     clears_exits: bool = False
-    joined: bool = False  # whether lanes continue others, so that highway-env's connected lanes matter
-    regulated: bool = False  # whether highway-env applies right of way (``RegulatedRoad``)
-    # whether highway-env computes lanes by turning those of one arm (``IntersectionEnv._make_road``)
+    joined: bool = False
+    regulated: bool = False
     turned_by_matrix: bool = False
-    # lanes with a stop line at their end, on SUMO's own networks, and the lights there, from right to left: of each way
-    # on the id of the traffic light and its place among that light's letters; none where one gives way
     stops: Mapping[LaneIndex, tuple[tuple[str, int], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -73,42 +73,62 @@ NOBODY = Neighbour("", inf, 0.0)
 
 
 class Place(NamedTuple):
-    """Where SUMO says that the ego is on its way through a network of a user's own."""
+    """Where SUMO says that the ego is on its way through a network of a user's own.
 
-    lane: LaneIndex  # that it is on; in a junction, the way through it
-    left: bool  # whether it may change to the lane on the left, by the road's markings and the lanes' classes
-    right: bool  # likewise on the right
-    # what is left of its route, as edges, the present one (or the one before the junction) first
+    Attributes:
+        lane: that it is on; in a junction, the way through it.
+        left, right: whether it may change to the lane beside, by the road's markings and the lanes' classes.
+        ahead: what is left of its route, as edges, the present one (or the one before the junction) first.
+        free: how far it gets along its route without a lane change [m]; inf where the lane leads on.
+        free_left, free_right: likewise from the lane beside; 0 where it may not change to that lane.
+        progress: metres of this policy step over those of the whole way as it then stands, driven and left.
+        ended: "" on its way, "arrived", "missed turn" (its lane does not lead on, and it can no longer change),
+            or "removed" (by SUMO: teleported, say).
+        red_lights: stop lines that it has driven over at red in this policy step.
+        waiting: number of vehicles that wait until SUMO can insert them.
+        neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
+        foe: the next vehicle to which it has to give way at the next junction, where a feature asks for it: see
+            `nearby_vehicles.foe`.
+        target_speed: that is commanded [m/s]; its own speed where SUMO drives.
+        overlap: id of a vehicle whose outline the ego's has touched in this policy step without a crash, "" if none.
+        fuel: burnt in this policy step [mg]; electricity: consumed [Wh].
+        on_road: whether it is on a lane of SUMO, or has arrived; it is on none while it is parked beside the road.
+    """
+
+    lane: LaneIndex
+    left: bool
+    right: bool
     ahead: tuple[str, ...]
-    free: float  # how far it gets along its route without a lane change [m]; inf where the lane leads on
-    free_left: float = 0.0  # likewise from the lane beside; 0 where it may not change to that lane
+    free: float
+    free_left: float = 0.0
     free_right: float = 0.0
-    # metres of this policy step over those of the whole way as it then stands, driven and left
     progress: float = 0.0
-    # "" on its way, "arrived", "missed turn" (its lane does not lead on, and it can no longer change), or "removed" (by
-    # SUMO: teleported, say)
     ended: str = ""
-    red_lights: int = 0  # stop lines that it has driven over at red in this policy step
-    waiting: int = 0  # number of vehicles that wait until SUMO can insert them
-    # leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO
+    red_lights: int = 0
+    waiting: int = 0
     neighbours: tuple[Neighbour, ...] = (NOBODY,) * 6
-    # to which it has to give way next, at the next junction, where a feature asks for it: see `nearby_vehicles.foe`
     foe: Neighbour = NOBODY
-    target_speed: float = 0.0  # that is commanded [m/s]; its own speed where SUMO drives
-    fuel: float = 0.0  # burnt in this policy step [mg]
-    electricity: float = 0.0  # consumed in this policy step [Wh]
-    # id of a vehicle whose outline the ego's has touched in this policy step without a crash, "" if none
+    target_speed: float = 0.0
+    fuel: float = 0.0
+    electricity: float = 0.0
     overlap: str = ""
-    on_road: bool = True  # whether it is on a lane of SUMO (parked beside the road, on none), or has arrived
+    on_road: bool = True
 
 
 class NearEvents(NamedTuple):
-    """Risk events near learning cars, which come more often (`traffic.tilt`), since the start of the episode."""
+    """Risk events near learning cars, which come more often (`traffic.tilt`), since the start of the episode.
 
-    events: int  # that have come
-    expected_events: float  # mean number of these at factor 1, given who was near
-    other_events: int  # of all other vehicles, those to come included
-    log_weight: float  # logarithm of the likelihood at factor 1 over that of what has happened
+    Attributes:
+        events: that have come.
+        expected_events: mean number of these at factor 1, given who was near.
+        other_events: of all other vehicles, those to come included.
+        log_weight: logarithm of the likelihood at factor 1 over that of what has happened.
+    """
+
+    events: int
+    expected_events: float
+    other_events: int
+    log_weight: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,12 +15,12 @@ from experiments.study.compute.takeover import COLUMNS
 from experiments.support.errors import UserError
 from experiments.support.files import read_json
 
-OPTIONS = takeover.Options("faster", "careful", "u-turn", traffics=("risky",), scenarios=6)
+OPTIONS = takeover.Options("faster", "careful", "u-turn", traffics=("risky",), scenarios=3)
 
 
 @pytest.fixture(autouse=True)
 def few(here: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(takeover, "BATCH", 4)
+    monkeypatch.setattr(takeover, "BATCH", 2)
 
 
 @pytest.mark.slow
@@ -30,7 +30,7 @@ def test_answers_are_written_and_the_command_goes_on_where_it_was_stopped(tmp_pa
     said, files = capsys.readouterr().out, {path: path.stat() for path in (tmp_path / "episodes").iterdir()}
     assert len(files) == 2 and "skill, faster leads" in said and "crashes of careful, leading" in said
     rows = pd.read_parquet(tmp_path / "moments.parquet")
-    assert list(rows) == list(COLUMNS) and len(rows) == 12 and {*rows["scenario"]} == {*range(3, 9)}
+    assert list(rows) == list(COLUMNS) and len(rows) == 6 and {*rows["scenario"]} == {*range(3, 6)}
     found = read_json(tmp_path / "takeover.json")
     answers = {row["question"]: row for row in found["answers"]}
     danger = (rows["moment"].notna() | rows["sudden"]).groupby(rows["leader"]).mean()

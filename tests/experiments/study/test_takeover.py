@@ -149,6 +149,6 @@ def test_a_driver_against_itself_differs_in_nothing() -> None:
 def test_copies_on_sumo_are_what_driving_again_gives(who: tuple[str, str, str]) -> None:
     """Those that go on with IDLE disturb nothing; SUMO's own driver and the planner take over without having led."""
     entrants = dict(zip((*PAIR, who[2]), map(rule, who), strict=True))
-    rows = check(lambda: make_env("sumo", "u-turn", U_TURN), entrants, range(1 if "planner" in who else 3))
+    rows = check(lambda: make_env("sumo", "u-turn", U_TURN), entrants, range(1 if "planner" in who else 2))
     assert rows["moment"].notna().sum() >= 3
     assert set(rows["leader"]) == ({"a"} if "sumo" in who else {"a", "b"})

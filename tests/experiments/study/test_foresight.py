@@ -45,7 +45,7 @@ def test_what_is_found_can_be_driven_and_a_safe_episode_is_never_called_impossib
     task: str, level: int
 ) -> None:
     """At the standard width, whoever drives: the return is at least theirs."""
-    setting, safe = Setting(task, level, **({"duration": 20} if task == "highway" else {})), 0
+    setting, safe = Setting(task, level, **({"duration": 10} if task == "highway" else {})), 0
     with closing(make_env("replica", setting.task, setting.config)) as env:
         policies = [make_policy(name, env) for name in ("random", "slower", "careful", "idm")]
         for number, risk in product(range(1 if task == "highway" else 2), (0.0, 1.0)):

@@ -122,7 +122,10 @@ CASES: list[tuple[str, dict[str, Any]]] = [
 def test_episodes_are_those_of_single_environments(task: str, keywords: dict[str, Any]) -> None:
     envs = pair(task, **keywords)
     assert_equal(*(env.reset(seed=7) for env in envs))
-    assert drive_both(envs, 80, seed=7) >= 2 * ENVS
+    ended = drive_both(envs, 40, seed=7)
+    if ended < 2 * ENVS:  # where episodes are long
+        ended += drive_both(envs, 40, seed=8)
+    assert ended >= 2 * ENVS
 
 
 @pytest.mark.parametrize(

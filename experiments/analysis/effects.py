@@ -103,10 +103,16 @@ def between(first: Results, other: Results) -> pd.DataFrame:
     Returns:
         A row a task, level and traffic (term) in which both have agents of both arms: the columns of `Mean`.
     """
-    folders = ((comparable(one)[0].episodes, sign) for one, sign in ((first, -1.0), (other, 1.0)))
-    rows = pd.concat(at_home(episodes).assign(sign=sign) for episodes, sign in folders)
-    rows = rows[(rows["kind"] == "agent") & rows["arm"].isin(SIGNS)]
-    rows = rows.assign(sign=rows["sign"] * rows["arm"].map(SIGNS), crashed=rows["crashed"].astype(float))
+    folders = []
+    for results, sign in ((first, -1.0), (other, 1.0)):
+        rows = at_home(comparable(results)[0].episodes)
+        rows = rows[(rows["kind"] == "agent") & rows["arm"].isin(SIGNS)]
+        rows = rows[
+            rows["backend"] == rows["backend"].min()
+        ]  # of several the one that is first in `contrasts`
+        signs = sign * rows["arm"].map(SIGNS)
+        folders.append(rows.assign(sign=signs, crashed=rows["crashed"].astype(float)))
+    rows = pd.concat(folders)
     found = []
     for place, agents in rows.groupby(["task", "level", "traffic"], sort=False):
         four = agents.pivot(index=["arm", "sign", "seed"], columns="scenario", values="crashed").dropna(

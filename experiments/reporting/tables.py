@@ -234,6 +234,8 @@ def side_by_side(analyses: Mapping[str, Analysis], differences: Mapping[str, pd.
     of_tasks = [estimate.combine(rows, ["backend", "task", "term"], weights)]
     for other in others:
         both = differences[other].merge(rows[["task", "level"]].drop_duplicates())
+        if both.empty:
+            continue
         apart = estimate.combine(both, ["task", "term"], estimate.equal_task_weights(both, ["task", "term"]))
         of_tasks.append(apart.assign(backend=f"{other} {MINUS} {first}"))
     each = in_order(pd.concat(of_tasks), "task", "term")

@@ -46,7 +46,7 @@ class Vehicle:
     Attributes:
         is_learning: whether it has come as a learning car.
         now: its speed mode and its lane-change mode.
-        has_speed, has_lanes: whether its speed, and its lanes, are commanded; else they are SUMO's.
+        has_speed: whether its speed is commanded; else it is SUMO's.
         crashed: whether it has; then it only coasts to a stop, and nothing is SUMO's any more.
         coasting: speed of a crashed vehicle that is no learning car [m/s].
     """
@@ -62,8 +62,8 @@ class Vehicle:
         """base: speed mode and lane-change mode in which SUMO drives it; held: whether it comes commanded."""
         self._session, self.name, self._base, self.is_learning = session, name, base, is_learning
         self.now = (ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES) if held else base
-        self.has_speed = self.has_lanes = held
-        self._of_lanes = {""} if held else set[str]()  # who commands its lanes
+        self.has_speed = held
+        self._steering = {""} if held else set[str]()  # who commands its lanes
         self.crashed, self.coasting = False, 0.0
         self._is_changing = False  # whether a lane change of SUMO's may still be running
         self._regular: dict[str, float] = {}  # its own parameters, where others are commanded
@@ -90,19 +90,24 @@ class Vehicle:
             self._set(self._base[0], self.now[1])
             self.drive(-1.0)
 
+    @property
+    def has_lanes(self) -> bool:
+        """Whether its lanes are commanded; else they are SUMO's."""
+        return bool(self._steering)
+
     def hold_lanes(self, by: str = "") -> None:
         """From now on its lane changes are commanded, by one of those who may do so at a time."""
-        self._of_lanes.add(by)
-        if not self.has_lanes:
-            self.has_lanes = self._is_changing = True
+        if not self._steering:
+            self._is_changing = True
             self._set(self.now[0], COMMANDED_LANE_CHANGES)
+        self._steering.add(by)
 
     def free_lanes(self, by: str = "") -> None:
         """Give the lane changes back to SUMO, once nobody else commands them."""
-        self._of_lanes.discard(by)
-        if self.has_lanes and not (self._of_lanes or self.crashed):
-            self.has_lanes = False
-            self._set(self.now[0], self._base[1])
+        if self._steering and not self.crashed:
+            self._steering.discard(by)
+            if not self._steering:
+                self._set(self.now[0], self._base[1])
 
     def command(self, speed: bool, lanes: bool) -> None:
         """From now on its speed, its lane changes, both or neither are commanded."""
